@@ -1,0 +1,145 @@
+//! What every depth camera driver of Relief has in common: the trait [`DepthCamera`], the [`Frame`] that it delivers, the
+//! camera's own description [`CameraInfo`] and the [`CameraError`]s that a caller can act on.
+//!
+//! Depth arrives in metres along the optical axis, IR in raw counts with the response not removed; both share one pixel
+//! grid (u right, v down, pixel centres at integers) and one Brown–Conrady camera. Nothing here knows a device.
+
+mod error;
+mod image;
+
+pub use error::CameraError;
+pub use image::Image;
+
+use std::time::{Duration, Instant};
+
+/// The sensors that Relief knows, which decides how shading images are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sensor {
+    /// Kinect I: structured light, 640×480, shading images under a lamp while the speckle projector is covered.
+    Kinect1,
+    /// Kinect II: time of flight, 512×424, every IR frame is a shading image lit by the sensor's own emitter.
+    Kinect2,
+}
+
+impl Sensor {
+    /// The name used in `session.toml` and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Sensor::Kinect1 => "kinect1",
+            Sensor::Kinect2 => "kinect2",
+        }
+    }
+
+    /// The sensor of that name, if there is one.
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Sensor::Kinect1, Sensor::Kinect2]
+            .into_iter()
+            .find(|sensor| sensor.name() == name)
+    }
+}
+
+/// Brown–Conrady camera of the IR sensor, in pixels; the depth image shares it.
+///
+/// With normalised coordinates (x, y) = (X/Z, Y/Z) and r² = x² + y²:
+/// x' = x(1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2x²),
+/// y' = y(1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2y²) + 2 p2 x y, u = fx x' + cx, v = fy y' + cy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Image width, pixels.
+    pub width: usize,
+    /// Image height, pixels.
+    pub height: usize,
+    /// Horizontal focal length, pixels.
+    pub fx: f64,
+    /// Vertical focal length, pixels.
+    pub fy: f64,
+    /// Principal point, pixels from the centre of the leftmost column.
+    pub cx: f64,
+    /// Principal point, pixels from the centre of the top row.
+    pub cy: f64,
+    /// Radial distortion, r² term.
+    pub k1: f64,
+    /// Radial distortion, r⁴ term.
+    pub k2: f64,
+    /// Tangential distortion, first term.
+    pub p1: f64,
+    /// Tangential distortion, second term.
+    pub p2: f64,
+    /// Radial distortion, r⁶ term.
+    pub k3: f64,
+}
+
+/// What lights a shading image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LightKind {
+    /// The sensor's own emitter (Kinect II): always on.
+    Emitter,
+    /// A lamp fixed to the sensor (Kinect I): on at shading poses only.
+    Lamp,
+}
+
+impl LightKind {
+    /// The name used in `session.toml`.
+    pub fn name(self) -> &'static str {
+        match self {
+            LightKind::Emitter => "emitter",
+            LightKind::Lamp => "lamp",
+        }
+    }
+}
+
+/// The near point light that moves with the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Position in the IR camera frame (x right, y down, z forward), metres.
+    pub position_m: [f64; 3],
+    /// What it is.
+    pub kind: LightKind,
+}
+
+/// A camera's description of itself, fixed while it streams.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraInfo {
+    /// Which sensor it is.
+    pub sensor: Sensor,
+    /// The device's serial number; a recording without one carries its session's name.
+    pub serial: String,
+    /// The camera model of depth and IR.
+    pub intrinsics: Intrinsics,
+    /// IR counts at full scale; `None` if the camera delivers no IR.
+    pub ir_full_scale: Option<f64>,
+    /// The light of the shading images; `None` if the camera delivers no IR.
+    pub light: Option<Light>,
+    /// How many frames will come, where that is known beforehand.
+    pub n_frames: Option<usize>,
+}
+
+/// One moment of the device: a depth image, an IR image, or both.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Counts frames from the start of the stream; gaps are frames that the driver knows to be lost.
+    pub frame_id: u64,
+    /// The device's own clock, seconds; never compared with `host_time`.
+    pub device_time_secs: f64,
+    /// When the driver had the frame, on this machine's monotonic clock.
+    pub host_time: Instant,
+    /// Depth along the optical axis, metres; 0 is no measurement.
+    pub depth: Option<Image<f32>>,
+    /// Raw IR counts, response not removed.
+    pub ir: Option<Image<u16>>,
+}
+
+/// A source of depth and IR frames: a device, a recording, or a simulation.
+///
+/// A camera is driven by one thread. After an error that [`CameraError::is_recoverable`] the next call may succeed.
+pub trait DepthCamera: Send {
+    /// The camera's description of itself.
+    fn info(&self) -> &CameraInfo;
+
+    /// Waits at most `timeout` for the next frame; `None` when the stream has ended for good.
+    ///
+    /// # Errors
+    /// [`CameraError::Timeout`] when no frame came in time, [`CameraError::DamagedFrame`] for one frame that cannot be
+    /// used (the stream goes on), and the other kinds when the stream is over.
+    fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError>;
+}

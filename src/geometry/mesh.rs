@@ -1,0 +1,166 @@
+//! Indexed triangle meshes.
+
+use nalgebra::{Point3, Vector3};
+use std::collections::BTreeMap;
+
+/// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TriMesh {
+    /// Vertex positions, metres.
+    pub vertices: Vec<Point3<f64>>,
+    /// Vertex indices of each face, counter-clockwise seen from outside.
+    pub faces: Vec<[u32; 3]>,
+}
+
+impl TriMesh {
+    /// The three corners of a face.
+    pub fn corners(&self, face: usize) -> [Point3<f64>; 3] {
+        self.faces[face].map(|vertex| self.vertices[vertex as usize])
+    }
+
+    /// The normal of a face, twice its area long (m²), pointing outside: `(b−a)×(c−a)`.
+    pub fn face_normal(&self, face: usize) -> Vector3<f64> {
+        let [a, b, c] = self.corners(face);
+        (b - a).cross(&(c - a))
+    }
+
+    /// Centre of a face.
+    pub fn centroid(&self, face: usize) -> Point3<f64> {
+        let [a, b, c] = self.corners(face);
+        Point3::from((a.coords + b.coords + c.coords) / 3.0)
+    }
+
+    /// Unit normals at the vertices, weighted by face area; zero where the faces around a vertex cancel or there are none.
+    pub fn vertex_normals(&self) -> Vec<Vector3<f64>> {
+        let mut normals = vec![Vector3::zeros(); self.vertices.len()];
+        for face in 0..self.faces.len() {
+            let normal = self.face_normal(face);
+            for &vertex in &self.faces[face] {
+                normals[vertex as usize] += normal;
+            }
+        }
+        for normal in &mut normals {
+            *normal = normal.try_normalize(0.0).unwrap_or_default();
+        }
+        normals
+    }
+
+    /// Whole surface area, m².
+    pub fn area_m2(&self) -> f64 {
+        (0..self.faces.len())
+            .map(|face| 0.5 * self.face_normal(face).norm())
+            .sum()
+    }
+
+    /// The mesh of the faces for which `keep` holds, with the vertices that they use, in the old order.
+    pub fn filter_faces(&self, mut keep: impl FnMut(usize) -> bool) -> TriMesh {
+        let faces: Vec<[u32; 3]> = (0..self.faces.len())
+            .filter(|&face| keep(face))
+            .map(|face| self.faces[face])
+            .collect();
+        let mut new_index = vec![u32::MAX; self.vertices.len()];
+        for &vertex in faces.iter().flatten() {
+            new_index[vertex as usize] = 0;
+        }
+        let mut vertices = Vec::new();
+        for (vertex, index) in new_index.iter_mut().enumerate() {
+            if *index == 0 {
+                *index = vertices.len() as u32;
+                vertices.push(self.vertices[vertex]);
+            }
+        }
+        let faces = faces
+            .into_iter()
+            .map(|face| face.map(|vertex| new_index[vertex as usize]))
+            .collect();
+        TriMesh { vertices, faces }
+    }
+
+    /// The component of each face, faces being joined where they share a vertex; components are numbered by their first
+    /// face. Also returns how many there are.
+    pub fn face_components(&self) -> (Vec<u32>, usize) {
+        let mut parent: Vec<u32> = (0..self.vertices.len() as u32).collect();
+        fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
+            while parent[vertex as usize] != vertex {
+                parent[vertex as usize] = parent[parent[vertex as usize] as usize];
+                vertex = parent[vertex as usize];
+            }
+            vertex
+        }
+        for &[a, b, c] in &self.faces {
+            for (p, q) in [(a, b), (b, c)] {
+                let (p, q) = (root(&mut parent, p), root(&mut parent, q));
+                parent[p.max(q) as usize] = p.min(q);
+            }
+        }
+        let mut label_of_root = vec![u32::MAX; self.vertices.len()];
+        let mut n_components = 0;
+        let labels = self
+            .faces
+            .iter()
+            .map(|face| {
+                let label = &mut label_of_root[root(&mut parent, face[0]) as usize];
+                if *label == u32::MAX {
+                    *label = n_components;
+                    n_components += 1;
+                }
+                *label
+            })
+            .collect();
+        (labels, n_components as usize)
+    }
+}
+
+/// The undirected edges of a mesh, each once, sorted by their vertices.
+#[derive(Clone, Debug)]
+pub struct EdgeAdjacency {
+    /// Vertices of each edge, the smaller index first.
+    pub edges: Vec<[u32; 2]>,
+    /// How many faces share each edge: 1 on a border, 2 inside, more where the mesh is not a manifold.
+    pub n_faces: Vec<u32>,
+}
+
+impl EdgeAdjacency {
+    /// Finds the edges of a mesh.
+    pub fn new(mesh: &TriMesh) -> Self {
+        let mut count = BTreeMap::new();
+        for &[a, b, c] in &mesh.faces {
+            for (p, q) in [(a, b), (b, c), (c, a)] {
+                *count.entry([p.min(q), p.max(q)]).or_insert(0u32) += 1;
+            }
+        }
+        let (edges, n_faces) = count.into_iter().unzip();
+        EdgeAdjacency { edges, n_faces }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two_separate_triangles() -> TriMesh {
+        let point = |x: f64, y: f64| Point3::new(x, y, 0.0);
+        TriMesh {
+            vertices: vec![
+                point(0.0, 0.0),
+                point(1.0, 0.0),
+                point(0.0, 1.0),
+                point(5.0, 0.0),
+                point(6.0, 0.0),
+                point(5.0, 1.0),
+            ],
+            faces: vec![[0, 1, 2], [3, 4, 5]],
+        }
+    }
+
+    #[test]
+    fn components_and_filter_agree() {
+        let mesh = two_separate_triangles();
+        let (labels, n) = mesh.face_components();
+        assert_eq!((labels, n), (vec![0, 1], 2));
+        let second = mesh.filter_faces(|face| face == 1);
+        assert_eq!(second.faces, vec![[0, 1, 2]]);
+        assert_eq!(second.vertices[0].x, 5.0);
+        assert!((mesh.area_m2() - 1.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,59 @@
+//! Rigid poses. Increments multiply on the left; the 6-vector is rotation (rad), then translation (m).
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3, Vector6};
+
+/// A rigid transform, named `target_from_source`.
+pub type Pose = Isometry3<f64>;
+
+/// The left increment of a small motion: `increment(xi) * pose` moves `pose` by the rotation vector `xi[0..3]`, then by
+/// the translation `xi[3..6]`.
+pub fn increment(xi: &Vector6<f64>) -> Pose {
+    Isometry3::from_parts(
+        Translation3::new(xi[3], xi[4], xi[5]),
+        UnitQuaternion::from_scaled_axis(Vector3::new(xi[0], xi[1], xi[2])),
+    )
+}
+
+/// How far two poses of a camera are apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Angle between them, radians.
+    pub rotation_rad: f64,
+    /// Distance of their origins, metres.
+    pub translation_m: f64,
+}
+
+/// The motion that leads from one pose to another.
+pub fn motion_between(world_from_a: &Pose, world_from_b: &Pose) -> Motion {
+    Motion {
+        rotation_rad: world_from_a.rotation.angle_to(&world_from_b.rotation),
+        translation_m: (world_from_a.translation.vector - world_from_b.translation.vector).norm(),
+    }
+}
+
+/// The pose halfway between two poses.
+pub fn mean_pose(a: &Pose, b: &Pose) -> Pose {
+    let relative = a.rotation.inverse() * b.rotation;
+    let half = UnitQuaternion::from_scaled_axis(relative.scaled_axis() * 0.5);
+    Isometry3::from_parts(
+        Translation3::from((a.translation.vector + b.translation.vector) * 0.5),
+        a.rotation * half,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mean_pose_lies_halfway() {
+        let a = increment(&Vector6::new(0.1, -0.2, 0.05, 0.3, 0.1, -0.4));
+        let b = increment(&Vector6::new(-0.2, 0.1, 0.4, 0.1, 0.0, 0.2));
+        let mean = mean_pose(&a, &b);
+        let (to_a, to_b) = (motion_between(&mean, &a), motion_between(&mean, &b));
+        assert!((to_a.rotation_rad - to_b.rotation_rad).abs() < 1e-12);
+        assert!((to_a.translation_m - to_b.translation_m).abs() < 1e-12);
+        let whole = motion_between(&a, &b);
+        assert!((whole.rotation_rad - 2.0 * to_a.rotation_rad).abs() < 1e-9);
+    }
+}

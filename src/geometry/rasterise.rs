@@ -1,0 +1,127 @@
+//! A z-buffer rasteriser for meshes seen through the distorting camera.
+//!
+//! Triangles are a pixel or two wide, so that their edges are drawn straight between exactly projected corners.
+
+use super::{CameraModel, Pose, TriMesh};
+use depth_camera::Image;
+use nalgebra::{Point3, Vector2};
+
+/// What a camera sees of a mesh, pixel by pixel.
+#[derive(Clone, Debug)]
+pub struct DepthBuffer {
+    /// Depth along the optical axis, metres; infinity where nothing is seen.
+    pub depth_m: Image<f32>,
+    /// Index of the face seen; `u32::MAX` where there is none.
+    pub face: Image<u32>,
+}
+
+/// Draws a mesh as seen from a camera; of two surfaces the nearer wins, of equals the one with the smaller face index.
+///
+/// Both sides of a face are drawn. Faces with a corner that does not project are left out.
+pub fn rasterise(mesh: &TriMesh, camera: &CameraModel, camera_from_mesh: &Pose) -> DepthBuffer {
+    let (width, height) = (camera.intrinsics().width, camera.intrinsics().height);
+    let mut buffer = DepthBuffer {
+        depth_m: Image::filled(width, height, f32::INFINITY),
+        face: Image::filled(width, height, u32::MAX),
+    };
+    let projected: Vec<Option<(Vector2<f64>, f64)>> = mesh
+        .vertices
+        .iter()
+        .map(|vertex| {
+            let point_camera: Point3<f64> = camera_from_mesh * vertex;
+            camera
+                .project(&point_camera)
+                .map(|pixel| (pixel, point_camera.z))
+        })
+        .collect();
+    for (index, face) in mesh.faces.iter().enumerate() {
+        let [Some(a), Some(b), Some(c)] = face.map(|vertex| projected[vertex as usize]) else {
+            continue;
+        };
+        draw(&mut buffer, index as u32, [a, b, c]);
+    }
+    buffer
+}
+
+/// Draws one triangle; depth is interpolated as 1/z, which is linear on the image.
+fn draw(buffer: &mut DepthBuffer, face: u32, corners: [(Vector2<f64>, f64); 3]) {
+    let [(a, za), (b, zb), (c, zc)] = corners;
+    let (width, height) = (buffer.depth_m.width(), buffer.depth_m.height());
+    let low = a.inf(&b).inf(&c);
+    let high = a.sup(&b).sup(&c);
+    if high.x < 0.0 || high.y < 0.0 {
+        return;
+    }
+    let (u0, v0) = (
+        low.x.max(0.0).ceil() as usize,
+        low.y.max(0.0).ceil() as usize,
+    );
+    let u1 = (high.x.floor() as usize).min(width - 1);
+    let v1 = (high.y.floor() as usize).min(height - 1);
+    let area = (b - a).perp(&(c - a));
+    if area == 0.0 {
+        return;
+    }
+    for v in v0..=v1 {
+        for u in u0..=u1 {
+            let p = Vector2::new(u as f64, v as f64);
+            let (wa, wb) = ((b - p).perp(&(c - p)) / area, (c - p).perp(&(a - p)) / area);
+            let wc = 1.0 - wa - wb;
+            if wa < 0.0 || wb < 0.0 || wc < 0.0 {
+                continue;
+            }
+            let depth = (1.0 / (wa / za + wb / zb + wc / zc)) as f32;
+            let pixel = v * width + u;
+            if depth < buffer.depth_m.data()[pixel] {
+                buffer.depth_m.data_mut()[pixel] = depth;
+                buffer.face.data_mut()[pixel] = face;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::camera::tests::distorted_camera;
+
+    #[test]
+    fn a_slanted_plane_has_its_own_depth_at_every_pixel() {
+        let n = 60;
+        let at = |i: usize| (i as f64 / n as f64 - 0.5) * 1.2;
+        let depth = |x: f64, y: f64| 1.0 + 0.3 * x - 0.2 * y;
+        let mut mesh = TriMesh::default();
+        for j in 0..=n {
+            for i in 0..=n {
+                mesh.vertices
+                    .push(Point3::new(at(i), at(j), depth(at(i), at(j))));
+            }
+        }
+        for j in 0..n {
+            for i in 0..n {
+                let v = (j * (n + 1) + i) as u32;
+                let down = v + n as u32 + 1;
+                mesh.faces
+                    .extend([[v, down, v + 1], [v + 1, down, down + 1]]);
+            }
+        }
+        let camera = distorted_camera();
+        let buffer = rasterise(&mesh, &camera, &Pose::identity());
+        let mut n_seen = 0;
+        for v in (40..380).step_by(17) {
+            for u in (60..450).step_by(13) {
+                let ray = camera
+                    .unproject(u as f64, v as f64)
+                    .expect("inside the lens");
+                let expected = 1.0 / (1.0 - 0.3 * ray.x + 0.2 * ray.y);
+                let seen = *buffer.depth_m.at(u, v) as f64;
+                if seen.is_finite() {
+                    n_seen += 1;
+                    // Straight edges between exactly projected corners of 20 mm faces: distortion bends by < 0.1 mm.
+                    assert!((seen - expected).abs() < 1e-4, "{u} {v}: {seen} {expected}");
+                }
+            }
+        }
+        assert!(n_seen > 500);
+    }
+}

@@ -1,0 +1,7 @@
+//! Relief: a hand-held Kinect scan in, a mesh with detail far below the depth sensor's noise out.
+//!
+//! The pipeline reads from top to bottom: [`geometry`] and `shading` are what everything is built on, then
+//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages.
+#![forbid(unsafe_code)]
+
+pub mod geometry;
