@@ -4,4 +4,5 @@
 //! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages.
 #![forbid(unsafe_code)]
 
+pub mod fusion;
 pub mod geometry;

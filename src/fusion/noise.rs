@@ -1,0 +1,38 @@
+//! How far a depth measurement may be off, by sensor and distance.
+
+use depth_camera::Sensor;
+
+/// Standard deviation of one depth pixel along the optical axis, quadratic in distance: `at_m + growth·(z − z0)²`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthNoise {
+    floor_m: f64,
+    growth_per_m: f64,
+    reference_m: f64,
+}
+
+impl DepthNoise {
+    /// The published noise of a sensor.
+    ///
+    /// Kinect I: Nguyen, Izadi, Lovell 2012, σ = 1.2 mm + 1.9 mm (z − 0.4)² at up to 60° of incidence.
+    /// Kinect II: Fankhauser et al. 2015, σ = 1.5 − 0.5 z + 0.3 z² mm; completed to a square.
+    pub fn of_sensor(sensor: Sensor) -> Self {
+        match sensor {
+            Sensor::Kinect1 => DepthNoise {
+                floor_m: 0.0012,
+                growth_per_m: 0.0019,
+                reference_m: 0.4,
+            },
+            Sensor::Kinect2 => DepthNoise {
+                floor_m: 0.0013,
+                growth_per_m: 0.0003,
+                reference_m: 0.83,
+            },
+        }
+    }
+
+    /// Standard deviation at a depth, metres.
+    pub fn sigma_m(&self, depth_m: f32) -> f32 {
+        let beyond = depth_m as f64 - self.reference_m;
+        (self.floor_m + self.growth_per_m * beyond * beyond) as f32
+    }
+}
