@@ -1,0 +1,120 @@
+//! What has to be known of a sensor before its IR values measure light.
+
+use depth_camera::Sensor;
+use serde::{Deserialize, Serialize};
+
+/// Response, flat field and noise of one sensor's IR image.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Exponent of the response: observed = linear^gamma, both as shares of full scale.
+    pub gamma: f64,
+    /// How the image darkens towards its corners.
+    pub flat_field: FlatField,
+    /// Noise of the observed values.
+    pub noise: ImageNoise,
+}
+
+/// The direction-dependent factor of emitter lobe and lens.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
+pub enum FlatField {
+    /// `cos(angle to the optical axis)^power`.
+    CosinePower {
+        /// The exponent; 0 is a flat image.
+        power: f64,
+    },
+}
+
+impl FlatField {
+    /// The factor for the ray (X/Z, Y/Z); 1 on the optical axis.
+    pub fn factor(&self, x: f64, y: f64) -> f64 {
+        match self {
+            FlatField::CosinePower { power } => (1.0 + x * x + y * y).powf(-0.5 * power),
+        }
+    }
+}
+
+/// Noise of one observed pixel as shares of full scale: variance = read² + shot · value.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImageNoise {
+    /// Standard deviation in the dark.
+    pub read: f64,
+    /// Variance for each unit of value.
+    pub shot: f64,
+}
+
+impl ImageNoise {
+    /// Standard deviation of an observed value.
+    pub fn sigma(&self, value: f64) -> f64 {
+        (self.read * self.read + self.shot * value.max(0.0)).sqrt()
+    }
+}
+
+impl Calibration {
+    /// The calibration that `config/` carries for a sensor that has none of its own.
+    ///
+    /// # Errors
+    /// If the file shipped with the program does not parse, which a test excludes.
+    pub fn shipped(sensor: Sensor) -> Result<Self, String> {
+        let text = match sensor {
+            Sensor::Kinect1 => include_str!("../../config/calibration-kinect1.toml"),
+            Sensor::Kinect2 => include_str!("../../config/calibration-kinect2.toml"),
+        };
+        Self::from_toml(text)
+    }
+
+    /// Parses and checks a calibration.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn from_toml(text: &str) -> Result<Self, String> {
+        let calibration: Calibration = toml::from_str(text).map_err(|error| error.to_string())?;
+        calibration.validate()?;
+        Ok(calibration)
+    }
+
+    fn validate(&self) -> Result<(), String> {
+        let FlatField::CosinePower { power } = self.flat_field;
+        for (key, value, low, high) in [
+            ("gamma", self.gamma, 0.2, 3.0),
+            ("flat_field.power", power, 0.0, 12.0),
+            ("noise.read", self.noise.read, 1e-6, 0.2),
+            ("noise.shot", self.noise.shot, 0.0, 0.2),
+        ] {
+            if !(value >= low && value <= high) {
+                return Err(format!("{key} is {value}, must be {low} to {high}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_calibrations_parse_and_differ() {
+        let one = Calibration::shipped(Sensor::Kinect1).expect("shipped");
+        let two = Calibration::shipped(Sensor::Kinect2).expect("shipped");
+        assert_ne!(one.gamma, two.gamma);
+    }
+
+    #[test]
+    fn bad_values_are_named_with_their_bound() {
+        let text = "gamma = 0.0\nflat_field = { model = \"cosine_power\", power = 3.0 }\nnoise = { read = 0.01, shot = 0.0 }";
+        assert_eq!(
+            Calibration::from_toml(text),
+            Err("gamma is 0, must be 0.2 to 3".into())
+        );
+        let text = text
+            .replace("gamma = 0.0", "gamma = 1.0")
+            .replace("3.0 }", "nan }");
+        assert_eq!(
+            Calibration::from_toml(&text),
+            Err("flat_field.power is NaN, must be 0 to 12".into())
+        );
+    }
+}

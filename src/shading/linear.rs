@@ -1,0 +1,124 @@
+//! From observed IR to linear intensity: the response and the flat field removed, the pixel's own blur undone.
+
+use super::Calibration;
+use crate::geometry::RayGrid;
+use depth_camera::Image;
+
+/// Linear intensity with its standard deviation, both as shares of full scale on the optical axis.
+#[derive(Clone, Debug)]
+pub struct LinearImage {
+    /// Linear intensity; NaN where the pixel was saturated, black, or has no ray.
+    pub value: Image<f32>,
+    /// Standard deviation of it.
+    pub sigma: Image<f32>,
+}
+
+/// Variance that a pixel's box (1/12) and bilinear sampling (1/6) add on each axis, square pixels.
+const FOOTPRINT_VARIANCE_PX2: f32 = 0.25;
+
+/// Inverts Eq. (1) for a whole image: `L = (I / full scale)^(1/gamma) / flat`, then takes the footprint's blur off with
+/// `L − (var/2) ∇²L`. The noise goes with it: `sigma_L = sigma_I · (1/gamma) · I^(1/gamma − 1) / flat`.
+///
+/// `saturation` is the share of full scale from which a pixel counts as saturated.
+pub fn linearise(
+    counts: &Image<f32>,
+    full_scale: f64,
+    saturation: f64,
+    calibration: &Calibration,
+    rays: &RayGrid,
+) -> LinearImage {
+    let inv_gamma = 1.0 / calibration.gamma;
+    let (mut value, mut sigma) = (Vec::new(), Vec::new());
+    for (&counts, &[x, y]) in counts.data().iter().zip(rays.rays().data()) {
+        let observed = counts as f64 / full_scale;
+        let flat = calibration.flat_field.factor(x as f64, y as f64);
+        if observed >= saturation || observed <= calibration.noise.read || flat.is_nan() {
+            value.push(f32::NAN);
+            sigma.push(f32::NAN);
+            continue;
+        }
+        let linear = observed.powf(inv_gamma);
+        value.push((linear / flat) as f32);
+        sigma.push(
+            (calibration.noise.sigma(observed) * inv_gamma * linear / observed / flat) as f32,
+        );
+    }
+    let (width, height) = (counts.width(), counts.height());
+    LinearImage {
+        value: sharpen(&Image::from_vec(width, height, value)),
+        sigma: Image::from_vec(width, height, sigma),
+    }
+}
+
+/// Takes off the footprint's blur; pixels beside a NaN or the border become NaN.
+fn sharpen(image: &Image<f32>) -> Image<f32> {
+    let (width, height) = (image.width(), image.height());
+    let mut out = Image::filled(width, height, f32::NAN);
+    for v in 1..height - 1 {
+        let (above, row, below) = (image.row(v - 1), image.row(v), image.row(v + 1));
+        for u in 1..width - 1 {
+            let laplacian = row[u - 1] + row[u + 1] + above[u] + below[u] - 4.0 * row[u];
+            out.data_mut()[v * width + u] = row[u] - 0.5 * FOOTPRINT_VARIANCE_PX2 * laplacian;
+        }
+    }
+    out
+}
+
+impl LinearImage {
+    /// Value, its gradient (per pixel) and its sigma between pixels, bilinear; `None` where a pixel is missing.
+    #[inline]
+    pub fn sample(&self, u: f64, v: f64) -> Option<(f64, [f64; 2], f64)> {
+        let (width, height) = (self.value.width(), self.value.height());
+        if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
+            return None;
+        }
+        let (u0, v0) = (u as usize, v as usize);
+        let (fu, fv) = (u - u0 as f64, v - v0 as f64);
+        let first = v0 * width + u0;
+        let data = self.value.data();
+        let [a, b, c, d] =
+            [first, first + 1, first + width, first + width + 1].map(|i| data[i] as f64);
+        let (top, bottom) = (a + (b - a) * fu, c + (d - c) * fu);
+        let value = top + (bottom - top) * fv;
+        let gradient = [(b - a) + ((d - c) - (b - a)) * fv, bottom - top];
+        let nearest = (v + 0.5) as usize * width + (u + 0.5) as usize;
+        (!value.is_nan()).then(|| (value, gradient, self.sigma.data()[nearest] as f64))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::CameraModel;
+    use depth_camera::{Intrinsics, Sensor};
+
+    #[test]
+    fn linearising_undoes_response_and_flat_field() {
+        let camera = CameraModel::new(Intrinsics {
+            width: 64,
+            height: 48,
+            fx: 60.0,
+            fy: 60.0,
+            cx: 31.5,
+            cy: 23.5,
+            k1: 0.0,
+            k2: 0.0,
+            p1: 0.0,
+            p2: 0.0,
+            k3: 0.0,
+        });
+        let rays = RayGrid::new(camera);
+        let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
+        let truth = 0.3f64;
+        let counts = rays.rays().map(|&[x, y]| {
+            let flat = calibration.flat_field.factor(x as f64, y as f64);
+            (65535.0 * (truth * flat).powf(calibration.gamma)) as f32
+        });
+        let linear = linearise(&counts, 65535.0, 0.99, &calibration, &rays);
+        let (value, gradient, sigma) = linear.sample(12.3, 40.7).expect("inside");
+        assert!((value - truth).abs() < 1e-5);
+        assert!(gradient[0].abs() < 1e-5 && gradient[1].abs() < 1e-5);
+        assert!(sigma > 0.0 && sigma < 0.05);
+        assert!(linear.sample(63.5, 3.0).is_none());
+    }
+}
