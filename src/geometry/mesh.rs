@@ -1,7 +1,6 @@
 //! Indexed triangle meshes.
 
 use nalgebra::{Point3, Vector3};
-use std::collections::BTreeMap;
 
 /// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -123,13 +122,17 @@ pub struct EdgeAdjacency {
 impl EdgeAdjacency {
     /// Finds the edges of a mesh.
     pub fn new(mesh: &TriMesh) -> Self {
-        let mut count = BTreeMap::new();
-        for &[a, b, c] in &mesh.faces {
-            for (p, q) in [(a, b), (b, c), (c, a)] {
-                *count.entry([p.min(q), p.max(q)]).or_insert(0u32) += 1;
-            }
-        }
-        let (edges, n_faces) = count.into_iter().unzip();
+        let mut sides: Vec<[u32; 2]> = mesh
+            .faces
+            .iter()
+            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+            .map(|(p, q)| [p.min(q), p.max(q)])
+            .collect();
+        sides.sort_unstable();
+        let (edges, n_faces) = sides
+            .chunk_by(|side, next| side == next)
+            .map(|equal| (equal[0], equal.len() as u32))
+            .unzip();
         EdgeAdjacency { edges, n_faces }
     }
 }
@@ -151,6 +154,18 @@ mod tests {
             ],
             faces: vec![[0, 1, 2], [3, 4, 5]],
         }
+    }
+
+    #[test]
+    fn edges_are_counted_once_in_order() {
+        let mut mesh = two_separate_triangles();
+        mesh.faces[1] = [2, 1, 3];
+        let adjacency = EdgeAdjacency::new(&mesh);
+        assert_eq!(
+            adjacency.edges,
+            vec![[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]]
+        );
+        assert_eq!(adjacency.n_faces, vec![1, 1, 2, 1, 1]);
     }
 
     #[test]

@@ -1,13 +1,16 @@
-//! Poses, the camera model, triangle meshes and the z-buffer rasteriser: everything that knows shape but not light.
+//! Poses, the camera model, triangle meshes, closest points on them and the z-buffer rasteriser: everything that knows
+//! shape but not light.
 //!
 //! Frames of reference: `world` (first camera pose), `camera` (IR camera: x right, y down, z forward), `light`,
 //! and `pixel` (u right, v down, centres at integers). Transforms are `target_from_source` and chain by adjacent names.
 
+mod bvh;
 mod camera;
 mod mesh;
 mod pose;
 mod rasterise;
 
+pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use mesh::{EdgeAdjacency, TriMesh};
 pub use pose::{Motion, Pose, increment, mean_pose, motion_between};
