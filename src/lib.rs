@@ -1,9 +1,10 @@
 //! Relief: a hand-held Kinect scan in, a mesh with detail far below the depth sensor's noise out.
 //!
-//! The pipeline reads from top to bottom: [`geometry`] and `shading` are what everything is built on, then
+//! The pipeline reads from top to bottom: [`geometry`] and [`shading`] are what everything is built on, then
 //! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages.
 #![forbid(unsafe_code)]
 
 pub mod fusion;
 pub mod geometry;
+pub mod refine;
 pub mod shading;

@@ -9,6 +9,7 @@ mod camera;
 mod mesh;
 mod pose;
 mod rasterise;
+mod triangle;
 
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
