@@ -5,3 +5,5 @@
 #![forbid(unsafe_code)]
 
 pub mod geometry;
+
+pub mod export;

@@ -1,0 +1,21 @@
+//! What a scan leaves behind: meshes (PLY, GLB), the trajectory, the shading images, pictures, and the report.
+//!
+//! Every writer goes through [`write_atomically`]: a file stands under its final name whole or not at all. Lengths are
+//! metres and the frame is `world` (the first camera: x right, y down, z forward), except that the scene of a GLB is turned
+//! to glTF's y-up by its root node. Nothing here decides what is exported or where; it is told by the pipeline.
+
+mod atomic;
+mod error;
+mod validate;
+
+mod ply;
+mod ply_header;
+mod ply_reader;
+
+pub use atomic::write_atomically;
+pub use error::ExportError;
+pub use ply::write_ply;
+pub use ply_reader::read_ply;
+
+#[cfg(test)]
+mod tests;
