@@ -8,12 +8,14 @@ mod atomic;
 mod error;
 mod validate;
 
+mod glb;
 mod ply;
 mod ply_header;
 mod ply_reader;
 
 pub use atomic::write_atomically;
 pub use error::ExportError;
+pub use glb::write_glb;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
 
