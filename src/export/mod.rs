@@ -12,12 +12,19 @@ mod glb;
 mod ply;
 mod ply_header;
 mod ply_reader;
+mod trajectory;
+
+mod png;
+mod snapshots;
 
 pub use atomic::write_atomically;
 pub use error::ExportError;
 pub use glb::write_glb;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
+pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb};
+pub use snapshots::{SnapshotRecord, write_snapshots};
+pub use trajectory::{read_trajectory, write_trajectory};
 
 #[cfg(test)]
 mod tests;
