@@ -14,17 +14,23 @@ mod ply_header;
 mod ply_reader;
 mod trajectory;
 
+mod material;
+mod picture;
 mod png;
 mod snapshots;
+mod views;
 
 pub use atomic::write_atomically;
 pub use error::ExportError;
 pub use glb::write_glb;
+pub use material::PhongParams;
+pub use picture::phong;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
 pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb};
 pub use snapshots::{SnapshotRecord, write_snapshots};
 pub use trajectory::{read_trajectory, write_trajectory};
+pub use views::{MeanView, PictureSize, PictureView, three_views};
 
 #[cfg(test)]
 mod tests;
