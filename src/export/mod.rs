@@ -20,6 +20,13 @@ mod png;
 mod snapshots;
 mod views;
 
+mod chart;
+mod report;
+mod report_format;
+mod report_html;
+mod report_refinement;
+mod report_sections;
+
 pub use atomic::write_atomically;
 pub use error::ExportError;
 pub use glb::write_glb;
@@ -28,6 +35,11 @@ pub use picture::phong;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
 pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb};
+pub use report::{
+    AlbedoShare, BaseMesh, FrameCounts, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
+    RefinedView, Report, StageTiming, Tracking, write_report_json,
+};
+pub use report_html::{ReportPictures, write_report_html};
 pub use snapshots::{SnapshotRecord, write_snapshots};
 pub use trajectory::{read_trajectory, write_trajectory};
 pub use views::{MeanView, PictureSize, PictureView, three_views};
