@@ -4,7 +4,9 @@
 //! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages.
 #![forbid(unsafe_code)]
 
+pub mod export;
 pub mod fusion;
 pub mod geometry;
 pub mod refine;
 pub mod shading;
+pub mod snapshot;

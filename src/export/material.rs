@@ -1,0 +1,91 @@
+//! The grey material of the pictures, the two lights, and the sRGB curve.
+
+use nalgebra::Vector3;
+
+/// How a surface is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhongParams {
+    /// Whether every face has one brightness, so that single triangles show; otherwise normals are interpolated.
+    pub flat: bool,
+    /// Share of the light that the material scatters.
+    pub reflectance: f64,
+    /// Strength of the highlight at its centre.
+    pub specular: f64,
+    /// Exponent of the highlight; small is soft.
+    pub shininess: f64,
+    /// Colour around the mesh, sRGB.
+    pub background: [u8; 3],
+}
+
+impl Default for PhongParams {
+    /// A light grey plaster on white; the figures are arbitrary.
+    fn default() -> Self {
+        PhongParams {
+            flat: false,
+            reflectance: 0.66,
+            specular: 0.09,
+            shininess: 18.0,
+            background: [255; 3],
+        }
+    }
+}
+
+/// Light from all sides, before the material.
+const AMBIENT: f64 = 0.10;
+/// Further light from above.
+const SKY: f64 = 0.08;
+/// Key light from the upper left, low enough to graze relief, and a weak fill from the right: direction towards the light
+/// in the camera frame (x right, y down, z forward), and strength.
+const LIGHTS: [([f64; 3], f64); 2] = [([-0.55, -0.60, -0.58], 0.88), ([0.80, 0.15, -0.60], 0.26)];
+
+/// Linear brightness of a surface with this unit normal, seen from this unit direction.
+pub(super) fn shade(
+    normal: &Vector3<f64>,
+    towards_camera: &Vector3<f64>,
+    params: &PhongParams,
+) -> f64 {
+    let mut scattered = AMBIENT + SKY * (0.5 - 0.5 * normal.y);
+    let mut highlight = 0.0;
+    for (direction, strength) in LIGHTS {
+        let Some(light) = Vector3::from(direction).try_normalize(0.0) else {
+            continue;
+        };
+        let cosine = normal.dot(&light).max(0.0);
+        scattered += strength * cosine;
+        if let Some(half) = (light + towards_camera).try_normalize(1e-9) {
+            highlight += strength * cosine * normal.dot(&half).max(0.0).powf(params.shininess);
+        }
+    }
+    params.reflectance * scattered + params.specular * highlight
+}
+
+/// Linear share of full light of an sRGB code.
+pub(super) fn linear_from_srgb(code: u8) -> f64 {
+    let s = f64::from(code) / 255.0;
+    if s <= 0.04045 {
+        s / 12.92
+    } else {
+        ((s + 0.055) / 1.055).powf(2.4)
+    }
+}
+
+/// The nearest sRGB code of a linear share of full light, which is cut at 0 and 1.
+pub(super) fn srgb_from_linear(linear: f64) -> u8 {
+    let x = linear.clamp(0.0, 1.0);
+    let s = if x <= 0.003_130_8 {
+        12.92 * x
+    } else {
+        1.055 * x.powf(1.0 / 2.4) - 0.055
+    };
+    (255.0 * s).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn srgb_survives_the_round_trip() {
+        assert!((0..=255).all(|code| srgb_from_linear(linear_from_srgb(code)) == code));
+    }
+}

@@ -1,0 +1,48 @@
+//! What a scan leaves behind: meshes (PLY, GLB), the trajectory, the shading images, pictures, and the report.
+//!
+//! Every writer goes through [`write_atomically`]: a file stands under its final name whole or not at all. Lengths are
+//! metres and the frame is `world` (the first camera: x right, y down, z forward), except that the scene of a GLB is turned
+//! to glTF's y-up by its root node. Nothing here decides what is exported or where; it is told by the pipeline.
+
+mod atomic;
+mod error;
+mod validate;
+
+mod glb;
+mod ply;
+mod ply_header;
+mod ply_reader;
+mod trajectory;
+
+mod material;
+mod picture;
+mod png;
+mod snapshots;
+mod views;
+
+mod chart;
+mod report;
+mod report_format;
+mod report_html;
+mod report_refinement;
+mod report_sections;
+
+pub use atomic::write_atomically;
+pub use error::ExportError;
+pub use glb::write_glb;
+pub use material::PhongParams;
+pub use picture::phong;
+pub use ply::write_ply;
+pub use ply_reader::read_ply;
+pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb};
+pub use report::{
+    AlbedoShare, BaseMesh, FrameCounts, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
+    RefinedView, Report, StageTiming, Tracking, write_report_json,
+};
+pub use report_html::{ReportPictures, write_report_html};
+pub use snapshots::{SnapshotRecord, write_snapshots};
+pub use trajectory::{read_trajectory, write_trajectory};
+pub use views::{MeanView, PictureSize, PictureView, three_views};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,206 @@
+//! Shaded pictures of a mesh, for the report: one grey material under two lights that stand still beside the camera.
+//!
+//! Shading is computed in linear light and averaged over 2 × 2 samples a pixel before it is encoded as sRGB. Shadows, albedo
+//! and transparency are not drawn: the picture is to show shape.
+
+use super::{
+    PhongParams, PictureView,
+    material::{linear_from_srgb, shade, srgb_from_linear},
+};
+use crate::geometry::{CameraModel, DepthBuffer, Pose, TriMesh, rasterise};
+use depth_camera::{Image, Intrinsics};
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+/// Samples a pixel along each axis.
+const SAMPLES: usize = 2;
+/// How much darker the inside of an open surface is drawn.
+const INSIDE: f64 = 0.45;
+
+/// Draws a mesh, given one normal a vertex in the mesh's frame.
+///
+/// The inside of the surface is drawn darker. Where a vertex normal is zero, the face's own is taken.
+///
+/// # Panics
+/// If there are fewer normals than vertices, or a face names a vertex that does not exist.
+pub fn phong(
+    mesh: &TriMesh,
+    normals: &[Vector3<f64>],
+    view: &PictureView,
+    params: &PhongParams,
+) -> Image<[u8; 3]> {
+    assert!(
+        normals.len() >= mesh.vertices.len(),
+        "every vertex needs a normal"
+    );
+    let camera = finer(&view.camera);
+    let camera_from_mesh = view.world_from_camera.inverse();
+    let scene = Scene {
+        mesh,
+        normals,
+        buffer: rasterise(mesh, &camera, &camera_from_mesh),
+        camera,
+        camera_from_mesh,
+        background: params.background.map(linear_from_srgb),
+    };
+    let (width, height) = (
+        view.camera.intrinsics().width,
+        view.camera.intrinsics().height,
+    );
+    let pixels = (0..width * height)
+        .into_par_iter()
+        .map(|pixel| scene.pixel(pixel % width, pixel / width, params))
+        .collect();
+    Image::from_vec(width, height, pixels)
+}
+
+/// The camera whose pixels are the samples.
+fn finer(camera: &CameraModel) -> CameraModel {
+    let (i, n) = (camera.intrinsics(), SAMPLES as f64);
+    CameraModel::new(Intrinsics {
+        width: i.width * SAMPLES,
+        height: i.height * SAMPLES,
+        fx: i.fx * n,
+        fy: i.fy * n,
+        cx: (i.cx + 0.5) * n - 0.5,
+        cy: (i.cy + 0.5) * n - 0.5,
+        ..*i
+    })
+}
+
+/// All that shading one sample needs.
+struct Scene<'a> {
+    mesh: &'a TriMesh,
+    normals: &'a [Vector3<f64>],
+    buffer: DepthBuffer,
+    camera: CameraModel,
+    camera_from_mesh: Pose,
+    background: [f64; 3],
+}
+
+impl Scene<'_> {
+    /// Mean of the samples of a pixel, encoded.
+    fn pixel(&self, u: usize, v: usize, params: &PhongParams) -> [u8; 3] {
+        let mut sum = [0.0; 3];
+        for sample in 0..SAMPLES * SAMPLES {
+            let (su, sv) = (
+                u * SAMPLES + sample % SAMPLES,
+                v * SAMPLES + sample / SAMPLES,
+            );
+            let radiance = self
+                .sample(su, sv, params)
+                .map_or(self.background, |grey| [grey; 3]);
+            (0..3).for_each(|channel| sum[channel] += radiance[channel]);
+        }
+        sum.map(|total| srgb_from_linear(total / (SAMPLES * SAMPLES) as f64))
+    }
+
+    /// Linear brightness of a sample; `None` where there is no surface.
+    fn sample(&self, u: usize, v: usize, params: &PhongParams) -> Option<f64> {
+        let face = *self.buffer.face.at(u, v);
+        if face == u32::MAX {
+            return None;
+        }
+        let ray = self.camera.unproject(u as f64, v as f64)?.push(1.0);
+        let point = Point3::from(ray * f64::from(*self.buffer.depth_m.at(u, v)));
+        let corners = self
+            .mesh
+            .corners(face as usize)
+            .map(|corner| self.camera_from_mesh * corner);
+        let face_normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let normal = if params.flat {
+            face_normal
+        } else {
+            self.smooth_normal(face as usize, &corners, &point)
+                .unwrap_or(face_normal)
+        };
+        let towards_camera = (-ray).try_normalize(0.0)?;
+        let outside = face_normal.dot(&towards_camera) >= 0.0;
+        let normal = normal.try_normalize(0.0)? * if outside { 1.0 } else { -1.0 };
+        let brightness = shade(&normal, &towards_camera, params);
+        Some(brightness * if outside { 1.0 } else { INSIDE })
+    }
+
+    /// The vertex normals interpolated at a point of a face, in the camera frame; `None` if they cancel.
+    fn smooth_normal(
+        &self,
+        face: usize,
+        corners: &[Point3<f64>; 3],
+        point: &Point3<f64>,
+    ) -> Option<Vector3<f64>> {
+        let [a, b, c] = corners;
+        let twice_area = (b - a).cross(&(c - a));
+        // Signed areas opposite to each corner; beyond an edge by rounding means on it.
+        let area = |p: &Point3<f64>, q: &Point3<f64>| {
+            (p - point).cross(&(q - point)).dot(&twice_area).max(0.0)
+        };
+        let weights = [area(b, c), area(c, a), area(a, b)];
+        let vertices = self.mesh.faces[face];
+        let sum: Vector3<f64> = (0..3)
+            .map(|k| self.normals[vertices[k] as usize] * weights[k])
+            .sum();
+        (self.camera_from_mesh * sum).try_normalize(f64::MIN_POSITIVE)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{MeanView, PictureSize, tests::bumpy_sphere, three_views};
+    use super::*;
+
+    const SIZE: PictureSize = PictureSize {
+        width: 80,
+        height: 60,
+    };
+
+    #[test]
+    fn a_sphere_is_round_bright_at_the_upper_left_and_on_white() {
+        let mesh = bumpy_sphere(48);
+        let [front, ..] = three_views(&mesh, &MeanView::from_poses(&[]), SIZE).unwrap();
+        let picture = phong(
+            &mesh,
+            &mesh.vertex_normals(),
+            &front,
+            &PhongParams::default(),
+        );
+        let grey = |u: usize, v: usize| picture.at(u, v)[0];
+        assert_eq!((grey(0, 0), grey(79, 59)), (255, 255));
+        assert!(
+            grey(28, 18) > grey(52, 42) && grey(28, 18) < 250,
+            "{} {}",
+            grey(28, 18),
+            grey(52, 42)
+        );
+        let n_covered = picture.data().iter().filter(|p| p[0] < 255).count() as f64;
+        // The sphere fills the shorter side but for the margin and 6 % bumps.
+        let disc = std::f64::consts::PI * 30.0 * 30.0;
+        assert!(
+            n_covered / disc > 0.85 && n_covered / disc < 1.0,
+            "{}",
+            n_covered / disc
+        );
+    }
+
+    #[test]
+    fn flat_shading_differs_and_the_inside_is_darker() {
+        let mesh = bumpy_sphere(12);
+        let [front, ..] = three_views(&mesh, &MeanView::from_poses(&[]), SIZE).unwrap();
+        let (smooth, flat) = (
+            PhongParams::default(),
+            PhongParams {
+                flat: true,
+                ..PhongParams::default()
+            },
+        );
+        let normals = mesh.vertex_normals();
+        assert_ne!(
+            phong(&mesh, &normals, &front, &smooth),
+            phong(&mesh, &normals, &front, &flat)
+        );
+        let mut inverted = mesh.clone();
+        inverted.faces.iter_mut().for_each(|face| face.swap(0, 1));
+        let inside = phong(&inverted, &inverted.vertex_normals(), &front, &smooth);
+        let outside = phong(&mesh, &normals, &front, &smooth);
+        assert!(inside.at(40, 30)[0] < outside.at(40, 30)[0] - 20);
+    }
+}

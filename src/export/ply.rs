@@ -1,0 +1,120 @@
+//! Meshes as binary PLY, the format that every mesh tool reads.
+
+use super::{ExportError, atomic::write_atomically, validate::check_surface};
+use crate::geometry::TriMesh;
+use nalgebra::Vector3;
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+/// Writes a mesh as binary little-endian PLY.
+///
+/// Vertices carry `x y z` (metres, frame `world`), `nx ny nz` and, if given, `albedo`, all 32-bit floats; faces are lists of
+/// three vertex indices, counter-clockwise seen from outside. An empty mesh gives an empty but valid file.
+///
+/// # Errors
+/// [`ExportError::Unfit`] if attributes and vertices differ in number, a value is not finite, a face names a vertex that
+/// does not exist, or there are more than 2³¹−1 vertices; [`ExportError::Write`] if the file cannot be written.
+pub fn write_ply(
+    path: &Path,
+    mesh: &TriMesh,
+    normals: &[Vector3<f64>],
+    albedo: Option<&[f64]>,
+) -> Result<(), ExportError> {
+    check_surface(path, mesh, normals, albedo)?;
+    // Indices are written as signed integers, which the oldest readers know.
+    if mesh.vertices.len() > i32::MAX as usize {
+        let reason = format!("{} vertices, at most {}", mesh.vertices.len(), i32::MAX);
+        return Err(ExportError::unfit(path, reason));
+    }
+    write_atomically(path, |file| {
+        file.write_all(header(mesh, albedo.is_some()).as_bytes())?;
+        for (vertex, (position, normal)) in mesh.vertices.iter().zip(normals).enumerate() {
+            write_floats(file, position.coords.as_slice())?;
+            write_floats(file, normal.as_slice())?;
+            if let Some(albedo) = albedo {
+                write_floats(file, &albedo[vertex..=vertex])?;
+            }
+        }
+        for face in &mesh.faces {
+            file.write_all(&[3])?;
+            for vertex in face {
+                file.write_all(&vertex.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    })
+}
+
+fn header(mesh: &TriMesh, with_albedo: bool) -> String {
+    let albedo = if with_albedo {
+        "property float albedo\n"
+    } else {
+        ""
+    };
+    format!(
+        "ply\nformat binary_little_endian 1.0\n\
+         comment relief: metres, frame of the first camera (x right, y down, z forward)\n\
+         element vertex {}\n\
+         property float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\n{albedo}\
+         element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+        mesh.vertices.len(),
+        mesh.faces.len()
+    )
+}
+
+fn write_floats(file: &mut impl Write, values: &[f64]) -> io::Result<()> {
+    values
+        .iter()
+        .try_for_each(|&value| file.write_all(&(value as f32).to_le_bytes()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{read_ply, tests::bumpy_sphere};
+    use super::*;
+
+    #[test]
+    fn a_mesh_survives_the_round_trip_to_single_precision() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sphere.ply");
+        let mesh = bumpy_sphere(24);
+        let albedo = vec![0.4; mesh.vertices.len()];
+        for albedo in [None, Some(albedo.as_slice())] {
+            write_ply(&path, &mesh, &mesh.vertex_normals(), albedo).unwrap();
+            let back = read_ply(&path).unwrap();
+            assert_eq!(back.faces, mesh.faces);
+            for (a, b) in back.vertices.iter().zip(&mesh.vertices) {
+                // Half a unit in the last place of a float below 1 m is 30 nm.
+                assert!((a - b).amax() < 3e-8 + 1e-12);
+            }
+        }
+        write_ply(&path, &TriMesh::default(), &[], None).unwrap();
+        assert_eq!(read_ply(&path).unwrap(), TriMesh::default());
+    }
+
+    #[test]
+    fn unfit_meshes_are_refused_and_leave_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bad.ply");
+        let good = bumpy_sphere(8);
+        let normals = good.vertex_normals();
+        let mut not_finite = good.clone();
+        not_finite.vertices[3].y = f64::NAN;
+        let mut out_of_range = good.clone();
+        out_of_range.faces[5][1] = 1_000_000;
+        let refused = |mesh: &TriMesh, normals: &[Vector3<f64>], albedo: Option<&[f64]>| {
+            let error = write_ply(&path, mesh, normals, albedo).unwrap_err();
+            assert!(!path.exists());
+            error.to_string()
+        };
+        assert!(refused(&not_finite, &normals, None).contains("vertex 3"));
+        assert!(refused(&out_of_range, &normals, None).contains("face 5"));
+        assert!(refused(&good, &normals[1..], None).contains("normals"));
+        assert!(refused(&good, &normals, Some(&[0.5])).contains("albedos"));
+        let negative = vec![-0.1; good.vertices.len()];
+        assert!(refused(&good, &normals, Some(&negative)).contains("-0.1"));
+    }
+}

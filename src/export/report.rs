@@ -1,0 +1,233 @@
+//! The report of a scan as data: what was captured, fused and refined, how well, and how long it took.
+//!
+//! The JSON file is one object: `"relief_report": 1`, which is the version of this schema, and the fields of [`Report`]. Units
+//! are in the keys; a number that does not exist (0/0) is `null`. Fields may be added under the same version; it rises when
+//! one is removed or changes its meaning.
+
+use super::{ExportError, atomic::write_atomically};
+use serde::Serialize;
+use std::{io::Write, path::Path};
+
+/// Version of the schema, the value of `relief_report`.
+pub const REPORT_SCHEMA: u32 = 1;
+
+/// All that a report says.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Report {
+    /// Name of the recording or scan.
+    pub session: String,
+    /// Sensor by its name in `session.toml`.
+    pub sensor: String,
+    /// The device's serial number.
+    pub serial: String,
+    /// Version of the program.
+    pub relief_version: String,
+    /// What became of the frames.
+    pub frames: FrameCounts,
+    /// What became of the camera's path.
+    pub tracking: Tracking,
+    /// The fused mesh.
+    pub base_mesh: BaseMesh,
+    /// The refined mesh, if there is one.
+    pub refined_mesh: Option<RefinedMesh>,
+    /// Why there is no refined mesh, in a sentence for the operator.
+    pub not_refined_reason: Option<String>,
+    /// Sentences for the operator.
+    pub warnings: Vec<String>,
+    /// Time spent, in the order of the pipeline.
+    pub timings: Vec<StageTiming>,
+    /// Largest resident memory of the process, bytes; `None` where the system does not tell.
+    pub peak_memory_bytes: Option<u64>,
+    /// Paths of all files written.
+    pub outputs: Vec<String>,
+}
+
+/// What became of the frames of a scan.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct FrameCounts {
+    /// Frames that the device announced.
+    pub total: u64,
+    /// Frames in the model.
+    pub fused: u64,
+    /// Frames during which tracking was lost.
+    pub lost: u64,
+    /// Frames that came damaged.
+    pub damaged: u64,
+    /// Frames dropped because the program was busy.
+    pub dropped: u64,
+    /// Frames that carry no depth, such as shading images.
+    pub without_depth: u64,
+}
+
+/// What became of the camera's path.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Tracking {
+    /// Length of the camera's path, metres.
+    pub path_length_m: f64,
+    /// When the camera was lost.
+    pub lost_spans: Vec<LostSpan>,
+}
+
+/// A time during which tracking was lost.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LostSpan {
+    /// First frame without a pose.
+    pub first_frame_id: u64,
+    /// Last frame without a pose.
+    pub last_frame_id: u64,
+    /// Device time of the first, seconds.
+    pub start_secs: f64,
+    /// Device time of the last, seconds.
+    pub end_secs: f64,
+    /// Why it was lost.
+    pub reason: String,
+}
+
+/// The fused mesh.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BaseMesh {
+    /// Vertices.
+    pub vertices: usize,
+    /// Faces.
+    pub faces: usize,
+    /// Surface area, m².
+    pub area_m2: f64,
+    /// File.
+    pub path: String,
+}
+
+/// The refined mesh and how it came about.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RefinedMesh {
+    /// Vertices.
+    pub vertices: usize,
+    /// Faces.
+    pub faces: usize,
+    /// Surface area, m².
+    pub area_m2: f64,
+    /// File.
+    pub path: String,
+    /// How refinement ended: `converged`, `iteration limit`, `stalled`, `cancelled`, `singular`.
+    pub status: String,
+    /// The outer iterations.
+    pub iterations: Vec<Iteration>,
+    /// Mean length of an edge, metres.
+    pub edge_length_m: f64,
+    /// The materials found, the largest first.
+    pub albedo: Vec<AlbedoShare>,
+    /// Difference of rendered and observed IR over all views on the base mesh, root mean square, share of full scale.
+    pub rmse_before: f64,
+    /// The same on the refined mesh.
+    pub rmse_after: f64,
+    /// The shading images.
+    pub views: Vec<RefinedView>,
+}
+
+/// One outer iteration of refinement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Iteration {
+    /// Robust energy before the step.
+    pub energy_before: f64,
+    /// Robust energy after the step.
+    pub energy_after: f64,
+    /// Root mean square of the data residuals, in units of their sigma.
+    pub data_rms_sigma: f64,
+    /// Largest displacement of a vertex, metres.
+    pub max_step_m: f64,
+    /// Data residuals.
+    pub n_residuals: usize,
+    /// Levenberg–Marquardt damping.
+    pub damping: f64,
+}
+
+/// A material of the surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct AlbedoShare {
+    /// Its albedo.
+    pub albedo: f64,
+    /// Its share of the surface, 0 to 1.
+    pub area_share: f64,
+}
+
+/// One shading image in refinement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct RefinedView {
+    /// The frame.
+    pub frame_id: u64,
+    /// Device time, seconds.
+    pub time_secs: f64,
+    /// Brightness of the view against the common model.
+    pub gain: f64,
+    /// Shift of the image found by alignment, pixels (u, v).
+    pub shift_px: [f64; 2],
+    /// Difference of rendered and observed IR on the base mesh, root mean square, share of full scale.
+    pub rmse_before: f64,
+    /// The same on the refined mesh.
+    pub rmse_after: f64,
+    /// Sites of the surface that the view sees.
+    pub n_sites: usize,
+}
+
+/// Time spent in one stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct StageTiming {
+    /// The stage.
+    pub name: String,
+    /// All together, seconds.
+    pub total_secs: f64,
+    /// How often it ran.
+    pub n: u64,
+    /// Median of one run, milliseconds.
+    pub median_ms: f64,
+}
+
+/// A report behind its version.
+#[derive(Serialize)]
+struct Versioned<'a> {
+    relief_report: u32,
+    #[serde(flatten)]
+    report: &'a Report,
+}
+
+/// Writes a report as JSON, indented.
+///
+/// # Errors
+/// [`ExportError::Write`] if the file cannot be written.
+pub fn write_report_json(path: &Path, report: &Report) -> Result<(), ExportError> {
+    let versioned = Versioned {
+        relief_report: REPORT_SCHEMA,
+        report,
+    };
+    write_atomically(path, |file| {
+        serde_json::to_writer_pretty(&mut *file, &versioned)?;
+        file.write_all(b"\n")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    #[test]
+    fn the_file_states_its_version_and_null_where_there_is_no_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.json");
+        let report = Report {
+            session: "pot".into(),
+            refined_mesh: Some(RefinedMesh {
+                rmse_before: f64::NAN,
+                rmse_after: 0.02,
+                ..RefinedMesh::default()
+            }),
+            ..Report::default()
+        };
+        write_report_json(&path, &report).unwrap();
+        let back: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(back["relief_report"], Value::from(REPORT_SCHEMA));
+        assert_eq!(back["session"], Value::from("pot"));
+        assert_eq!(back["refined_mesh"]["rmse_before"], Value::Null);
+        assert_eq!(back["refined_mesh"]["rmse_after"], Value::from(0.02));
+        assert_eq!(back["not_refined_reason"], Value::Null);
+    }
+}

@@ -1,0 +1,250 @@
+//! The report as a page: one HTML file with everything in it, readable on a desk and on a phone, without scripts.
+//!
+//! This file holds the page's frame; `report_sections` and `report_refinement` hold what stands in it, `report.css` how it looks.
+
+use super::{
+    ExportError, Report, atomic::write_atomically, encode_png_grey8, encode_png_rgb,
+    report_refinement as refining, report_sections as sections,
+};
+use base64::{Engine, engine::general_purpose::STANDARD};
+use depth_camera::Image;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+const STYLE: &str = include_str!("report.css");
+
+/// The pictures of a report; all may be empty.
+#[derive(Clone, Debug, Default)]
+pub struct ReportPictures {
+    /// Views of the base mesh, named front, left and right in this order.
+    pub base: Vec<Image<[u8; 3]>>,
+    /// The same views of the refined mesh.
+    pub refined: Vec<Image<[u8; 3]>>,
+    /// Shading images, each with its caption.
+    pub thumbnails: Vec<(String, Image<u8>)>,
+    /// A depth image, already as grey.
+    pub depth_thumbnail: Option<Image<u8>>,
+}
+
+/// Writes a report as one HTML file that refers to nothing outside itself.
+///
+/// # Errors
+/// [`ExportError::Write`] if a picture has no pixels or the file cannot be written.
+pub fn write_report_html(
+    path: &Path,
+    report: &Report,
+    pictures: &ReportPictures,
+) -> Result<(), ExportError> {
+    write_atomically(path, |file| {
+        let page = page(report, &EncodedPictures::new(pictures)?);
+        file.write_all(page.into_string().as_bytes())
+    })
+}
+
+/// The pictures as `data:` addresses.
+pub(super) struct EncodedPictures {
+    pub base: Vec<String>,
+    pub refined: Vec<String>,
+    pub thumbnails: Vec<(String, String)>,
+    pub depth: Option<String>,
+}
+
+impl EncodedPictures {
+    fn new(pictures: &ReportPictures) -> io::Result<Self> {
+        let rgb = |image: &Image<[u8; 3]>| encode_png_rgb(image).map(data_address);
+        let grey = |image: &Image<u8>| encode_png_grey8(image).map(data_address);
+        let thumbnail =
+            |(caption, image): &(String, Image<u8>)| Ok((caption.clone(), grey(image)?));
+        Ok(EncodedPictures {
+            base: pictures.base.iter().map(rgb).collect::<io::Result<_>>()?,
+            refined: pictures
+                .refined
+                .iter()
+                .map(rgb)
+                .collect::<io::Result<_>>()?,
+            thumbnails: pictures
+                .thumbnails
+                .iter()
+                .map(thumbnail)
+                .collect::<io::Result<_>>()?,
+            depth: pictures.depth_thumbnail.as_ref().map(grey).transpose()?,
+        })
+    }
+}
+
+fn data_address(png: Vec<u8>) -> String {
+    format!("data:image/png;base64,{}", STANDARD.encode(png))
+}
+
+fn page(report: &Report, pictures: &EncodedPictures) -> Markup {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (report.session) " – scan report" }
+                link rel="icon" href="data:,";
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                main {
+                    (sections::heading(report))
+                    (sections::not_refined(report))
+                    (sections::warnings(report))
+                    (sections::key_figures(report))
+                    (sections::surface(report, pictures))
+                    @if let Some(refined) = &report.refined_mesh {
+                        (refining::refinement(refined))
+                        (refining::views(refined))
+                    }
+                    (sections::images(pictures))
+                    (sections::capture(report))
+                    (sections::timings(report))
+                    (sections::outputs(report))
+                    footer { "Relief " (report.relief_version) }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{
+        BaseMesh, Iteration, LostSpan, RefinedMesh, RefinedView, StageTiming, Tracking,
+    };
+    use super::*;
+
+    fn report() -> Report {
+        Report {
+            session: "vase <3>".into(),
+            sensor: "kinect2".into(),
+            serial: "0123".into(),
+            relief_version: "0.1.0".into(),
+            tracking: Tracking {
+                path_length_m: 2.5,
+                lost_spans: vec![LostSpan::default()],
+            },
+            base_mesh: BaseMesh {
+                faces: 12_345,
+                ..BaseMesh::default()
+            },
+            warnings: vec!["the light is not calibrated".into()],
+            timings: vec![StageTiming {
+                name: "fuse".into(),
+                ..StageTiming::default()
+            }],
+            outputs: vec!["out/refined.ply".into()],
+            ..Report::default()
+        }
+    }
+
+    fn refined() -> RefinedMesh {
+        let iteration = Iteration {
+            energy_before: 2e5,
+            energy_after: 1e5,
+            ..Iteration::default()
+        };
+        let view = RefinedView {
+            frame_id: 42,
+            rmse_before: 0.04,
+            rmse_after: 0.02,
+            ..RefinedView::default()
+        };
+        RefinedMesh {
+            status: "converged".into(),
+            iterations: vec![iteration; 3],
+            views: vec![view; 2],
+            rmse_before: 0.04,
+            rmse_after: 0.02,
+            ..RefinedMesh::default()
+        }
+    }
+
+    fn written(report: &Report, pictures: &ReportPictures) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.html");
+        write_report_html(&path, report, pictures).unwrap();
+        std::fs::read_to_string(&path).unwrap()
+    }
+
+    fn assert_self_contained(page: &str) {
+        for outside in ["http", "//", "url(", "@import", "<script"] {
+            // Base64 may hold two slashes in a row.
+            let text: String = page
+                .split("data:image/png;base64,")
+                .enumerate()
+                .map(|(k, part)| {
+                    if k == 0 {
+                        part
+                    } else {
+                        part.split_once('"').unwrap().1
+                    }
+                })
+                .collect();
+            assert!(!text.contains(outside), "{outside}");
+        }
+        for attribute in ["src=\"", "href=\""] {
+            assert!(
+                page.split(attribute)
+                    .skip(1)
+                    .all(|rest| rest.starts_with("data:"))
+            );
+        }
+    }
+
+    #[test]
+    fn a_refined_scan_has_all_sections_and_nothing_from_outside() {
+        let report = Report {
+            refined_mesh: Some(refined()),
+            ..report()
+        };
+        let picture = Image::filled(8, 6, [200u8; 3]);
+        let pictures = ReportPictures {
+            base: vec![picture.clone(); 3],
+            refined: vec![picture; 3],
+            thumbnails: vec![("frame 42".into(), Image::filled(4, 3, 9u8))],
+            depth_thumbnail: Some(Image::filled(4, 3, 90u8)),
+        };
+        let page = written(&report, &pictures);
+        for id in [
+            "summary",
+            "warnings",
+            "surface",
+            "refinement",
+            "views",
+            "images",
+            "capture",
+            "timings",
+            "outputs",
+        ] {
+            assert!(page.contains(&format!("id=\"{id}\"")), "{id}");
+        }
+        assert!(
+            page.contains("vase &lt;3&gt;")
+                && page.contains("12\u{202f}345")
+                && page.contains("−50 %")
+        );
+        assert_eq!(page.matches("<img").count(), 8);
+        assert_eq!(page.matches("<svg").count(), 2);
+        assert_self_contained(&page);
+    }
+
+    #[test]
+    fn a_scan_that_was_not_refined_says_why() {
+        let report = Report {
+            not_refined_reason: Some("no shading image was taken".into()),
+            ..report()
+        };
+        let page = written(&report, &ReportPictures::default());
+        assert!(
+            page.contains("id=\"not-refined\"") && page.contains("No shading image was taken.")
+        );
+        assert!(!page.contains("id=\"refinement\""));
+        assert_self_contained(&page);
+    }
+}

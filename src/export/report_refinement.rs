@@ -1,0 +1,108 @@
+//! The sections of the report page that exist only when a scan was refined.
+
+use super::{
+    RefinedMesh,
+    chart::{Labels, Series, bars, log_lines},
+    report_format::{change, compact, count, fixed, length, percent},
+};
+use maud::{Markup, html};
+
+/// How refinement went, iteration by iteration.
+pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
+    let numbers = || {
+        (1..=refined.iterations.len())
+            .map(|k| k.to_string())
+            .collect::<Vec<_>>()
+    };
+    let energy = Labels {
+        y: "Energy, log scale",
+        x: "Outer iteration",
+        ticks: numbers(),
+    };
+    let before = refined.iterations.iter().map(|i| i.energy_before).collect();
+    let after = refined.iterations.iter().map(|i| i.energy_after).collect();
+    html! {
+        section id="refinement" {
+            h2 { "Refinement" }
+            p { "Ended: " strong { (refined.status) } ", after " (refined.iterations.len()) " outer iterations." }
+            div class="split" {
+                figure class="plot" { (log_lines(&energy, &before_and_after(before, after))) }
+                div class="scroll" { table {
+                    thead { tr { th { "#" } th { "Energy before" } th { "after" } th { "Data rms, σ" } th { "Max. step" }
+                        th { "Residuals" } th { "Damping" } } }
+                    tbody { @for (k, i) in refined.iterations.iter().enumerate() { tr {
+                        th { (k + 1) } td { (compact(i.energy_before)) } td { (compact(i.energy_after)) }
+                        td { (fixed(i.data_rms_sigma, 2)) } td { (length(i.max_step_m)) } td { (count(i.n_residuals)) }
+                        td { (compact(i.damping)) }
+                    } } }
+                } }
+            }
+            @if !refined.albedo.is_empty() {
+                p class="quiet" { "Albedo: "
+                    @for (k, material) in refined.albedo.iter().enumerate() {
+                        @if k > 0 { ", " }
+                        (fixed(material.albedo, 3)) " on " (fixed(100.0 * material.area_share, 0)) " % of the surface"
+                    } "."
+                }
+            }
+        }
+    }
+}
+
+fn before_and_after(before: Vec<f64>, after: Vec<f64>) -> [Series; 2] {
+    [
+        Series {
+            name: "before",
+            class: "base",
+            values: before,
+        },
+        Series {
+            name: "after",
+            class: "refined",
+            values: after,
+        },
+    ]
+}
+
+/// The shading images and how well each is explained.
+pub(super) fn views(refined: &RefinedMesh) -> Markup {
+    let per_cent = |share: f64| 100.0 * share;
+    let labels = Labels {
+        y: "RMSE, % of full scale",
+        x: "Frame",
+        ticks: refined
+            .views
+            .iter()
+            .map(|view| view.frame_id.to_string())
+            .collect(),
+    };
+    let before = refined
+        .views
+        .iter()
+        .map(|view| per_cent(view.rmse_before))
+        .collect();
+    let after = refined
+        .views
+        .iter()
+        .map(|view| per_cent(view.rmse_after))
+        .collect();
+    html! {
+        section id="views" {
+            h2 { "Shading images" }
+            p { "How far the infrared image rendered from the mesh is from the observed one." }
+            div class="split" {
+                figure class="plot" { (bars(&labels, &before_and_after(before, after))) }
+                div class="scroll" { table {
+                    thead { tr { th { "Frame" } th { "Time, s" } th { "Gain" } th { "Shift u, v, px" } th { "RMSE before" }
+                        th { "after" } th { "Change" } th { "Sites" } } }
+                    tbody { @for view in &refined.views { tr {
+                        th { (view.frame_id) } td { (fixed(view.time_secs, 2)) } td { (fixed(view.gain, 3)) }
+                        td { (fixed(view.shift_px[0], 2)) ", " (fixed(view.shift_px[1], 2)) }
+                        td { (percent(view.rmse_before)) } td { (percent(view.rmse_after)) }
+                        td { (change(view.rmse_before, view.rmse_after)) } td { (count(view.n_sites)) }
+                    } } }
+                } }
+            }
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! The shading images of a scan, with their poses, for other programs: one folder for each.
+
+use super::{
+    ExportError,
+    atomic::write_atomically,
+    encode_png_grey8, encode_png_grey16,
+    trajectory::{TUM_HEADER, check_pose, tum_line},
+};
+use crate::geometry::Pose;
+use depth_camera::Image;
+use std::{
+    fs,
+    io::{self, Write},
+    path::Path,
+};
+
+/// One shading image as it is written.
+#[derive(Clone, Debug)]
+pub struct SnapshotRecord<'a> {
+    /// Raw IR counts.
+    pub ir: &'a Image<u16>,
+    /// Which pixels count, of the same size as `ir`: 0 is masked out.
+    pub mask: &'a Image<u8>,
+    /// Pose of the IR camera.
+    pub world_from_camera: Pose,
+    /// Whatever else there is to know: exposure, light, intrinsics, frame.
+    pub meta: serde_json::Value,
+    /// The device's own clock, seconds.
+    pub device_time_secs: f64,
+}
+
+/// The files of a snapshot, `meta.json` being the last: where it stands the snapshot is whole.
+const FILES: [&str; 4] = ["ir.png", "mask.png", "pose.txt", "meta.json"];
+
+/// Writes snapshot k of `records` to `dir/snapshots/` in folder `000`, `001`, …: `ir.png` (16 bit, raw counts), `mask.png`
+/// (8 bit), `pose.txt` (one TUM line, world from camera) and, last of all, `meta.json`.
+///
+/// Snapshots of an earlier export are replaced; those beyond the last record are removed, but only these four files.
+///
+/// # Errors
+/// [`ExportError::Unfit`] if a mask differs in size from its image or a pose is not finite, before anything is written;
+/// [`ExportError::Write`] if a file cannot be written.
+pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), ExportError> {
+    let root = dir.join("snapshots");
+    for (index, record) in records.iter().enumerate() {
+        check(record).map_err(|what| ExportError::unfit(&root.join(folder_name(index)), what))?;
+    }
+    fs::create_dir_all(&root).map_err(|cause| ExportError::write(&root, cause))?;
+    for (index, record) in records.iter().enumerate() {
+        write_snapshot(&root.join(folder_name(index)), record)?;
+    }
+    for index in records.len().. {
+        let stale = root.join(folder_name(index));
+        if !stale.is_dir() {
+            break;
+        }
+        remove_snapshot(&stale).map_err(|cause| ExportError::write(&stale, cause))?;
+    }
+    Ok(())
+}
+
+fn folder_name(index: usize) -> String {
+    format!("{index:03}")
+}
+
+fn check(record: &SnapshotRecord) -> Result<(), String> {
+    let size = |width: usize, height: usize| format!("{width}×{height}");
+    let ir = size(record.ir.width(), record.ir.height());
+    let mask = size(record.mask.width(), record.mask.height());
+    if ir != mask {
+        return Err(format!("the mask is {mask}, the image {ir}"));
+    }
+    check_pose(record.device_time_secs, &record.world_from_camera)
+}
+
+fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportError> {
+    let [ir, mask, pose, meta] = FILES.map(|name| folder.join(name));
+    fs::create_dir_all(folder).map_err(|cause| ExportError::write(folder, cause))?;
+    // While the files are of two exports, nothing may say that they belong together.
+    remove_file(&meta).map_err(|cause| ExportError::write(&meta, cause))?;
+    write_atomically(&ir, |file| file.write_all(&encode_png_grey16(record.ir)?))?;
+    write_atomically(&mask, |file| {
+        file.write_all(&encode_png_grey8(record.mask)?)
+    })?;
+    let line = tum_line(record.device_time_secs, &record.world_from_camera);
+    write_atomically(&pose, |file| writeln!(file, "{TUM_HEADER}\n{line}"))?;
+    write_atomically(&meta, |file| writeln!(file, "{:#}", record.meta))
+}
+
+fn remove_snapshot(folder: &Path) -> io::Result<()> {
+    for name in FILES.iter().rev() {
+        remove_file(&folder.join(name))?;
+    }
+    match fs::remove_dir(folder) {
+        // Somebody keeps files of their own there.
+        Err(error) if error.kind() == io::ErrorKind::DirectoryNotEmpty => Ok(()),
+        result => result,
+    }
+}
+
+/// Removes a file if it is there.
+fn remove_file(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        result => result,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::read_trajectory;
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_second_export_leaves_no_snapshot_of_the_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let ir = Image::from_vec(4, 3, (0..12u16).map(|k| k * 5000).collect());
+        let mask = Image::filled(4, 3, 255u8);
+        let record = |k: usize| SnapshotRecord {
+            ir: &ir,
+            mask: &mask,
+            world_from_camera: Pose::translation(0.1 * k as f64, 0.0, 0.5),
+            meta: json!({"frame_id": k}),
+            device_time_secs: k as f64,
+        };
+        write_snapshots(folder.path(), &[record(0), record(1), record(2)]).unwrap();
+        let root = folder.path().join("snapshots");
+        fs::write(root.join("001/note.txt"), "mine").unwrap();
+        write_snapshots(folder.path(), &[record(7)]).unwrap();
+
+        for name in FILES {
+            assert!(root.join("000").join(name).is_file());
+            assert!(!root.join("001").join(name).exists());
+        }
+        assert!(root.join("001/note.txt").is_file() && !root.join("002").exists());
+        let meta: serde_json::Value =
+            serde_json::from_slice(&fs::read(root.join("000/meta.json")).unwrap()).unwrap();
+        assert_eq!(meta["frame_id"], json!(7));
+        let poses = read_trajectory(&root.join("000/pose.txt")).unwrap();
+        assert!((poses[0].0 - 7.0).abs() < 1e-6 && (poses[0].1.translation.x - 0.7).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_mask_of_another_size_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (ir, mask) = (Image::filled(4, 3, 0u16), Image::filled(3, 4, 0u8));
+        let record = SnapshotRecord {
+            ir: &ir,
+            mask: &mask,
+            world_from_camera: Pose::identity(),
+            meta: json!({}),
+            device_time_secs: 0.0,
+        };
+        let error = write_snapshots(folder.path(), &[record])
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("3×4") && !folder.path().join("snapshots").exists());
+    }
+}

@@ -1,0 +1,165 @@
+//! Pose and gain of each view, from the images: Gauss-Newton on the shading residuals of all sites that the view sees, with
+//! a prior from the tracker, in turn with the displacements.
+//!
+//! A view's parameters are a turn about the object's centre, a shift, and the logarithm of its gain. About that centre a turn
+//! and a shift move pixels in different ways, so that both are determined.
+
+use super::energy::{Tukey, unit_normal};
+use super::view::View;
+use crate::geometry::{Pose, TriMesh, increment};
+use crate::shading::falloff_by_point;
+use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// How far the images may take a view from where the tracker put it.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlignmentParams {
+    /// Standard deviation of the tracker's orientation, radians.
+    pub rotation_sigma_rad: f64,
+    /// Standard deviation of the tracker's position of the object, metres.
+    pub translation_sigma_m: f64,
+    /// Standard deviation of a view's gain as a share of 1.
+    pub gain_sigma: f64,
+    /// Gauss-Newton steps a round.
+    pub iterations: usize,
+}
+
+impl Default for AlignmentParams {
+    fn default() -> Self {
+        AlignmentParams {
+            rotation_sigma_rad: 0.005,
+            translation_sigma_m: 0.003,
+            gain_sigma: 0.03,
+            iterations: 3,
+        }
+    }
+}
+
+/// The surface as alignment sees it.
+pub struct AlignmentTarget<'a> {
+    /// The mesh.
+    pub mesh: &'a TriMesh,
+    /// Centroid of each face.
+    pub sites: &'a [Point3<f64>],
+    /// Faces that the view sees.
+    pub faces: &'a [u32],
+    /// Albedo of each face.
+    pub albedo: &'a [f64],
+    /// Centre of the object, world frame.
+    pub centre: Point3<f64>,
+    /// Loss of the residuals.
+    pub loss: Tukey,
+}
+
+type Matrix7 = SMatrix<f64, 7, 7>;
+type Vector7 = SVector<f64, 7>;
+
+/// Refines the pose and the gain of a view.
+pub fn align_view(view: &mut View, target: &AlignmentTarget, params: &AlignmentParams) {
+    for _ in 0..params.iterations {
+        let (jtj, jtr) = normal_equations(view, target, params);
+        let Some(cholesky) = jtj.cholesky() else {
+            return;
+        };
+        let step = cholesky.solve(&-jtr);
+        let motion: Vector6<f64> = step.fixed_rows::<6>(0).into();
+        let centre = (view.camera_from_world * target.centre).coords;
+        view.camera_from_world = about(&centre, &motion) * view.camera_from_world;
+        view.gain *= step[6].exp();
+    }
+}
+
+/// A small motion whose turn is about `centre`.
+fn about(centre: &Vector3<f64>, xi: &Vector6<f64>) -> Pose {
+    let mut motion = increment(xi);
+    motion.translation.vector += centre - motion.rotation * centre;
+    motion
+}
+
+fn normal_equations(
+    view: &View,
+    target: &AlignmentTarget,
+    params: &AlignmentParams,
+) -> (Matrix7, Vector7) {
+    let centre = view.camera_from_world * target.centre;
+    let (mut jtj, mut jtr) = prior(view, &centre, params);
+    for &face in target.faces {
+        let face = face as usize;
+        let Some((normal, area)) = unit_normal(target.mesh, face) else {
+            continue;
+        };
+        let Some((residual, row)) = row(
+            view,
+            &target.sites[face],
+            &normal,
+            target.albedo[face],
+            &centre,
+        ) else {
+            continue;
+        };
+        let covered = view
+            .pixels_covered(&target.sites[face], &normal, area)
+            .min(1.0);
+        let weight = target.loss.weight(residual) * covered;
+        jtj += row * row.transpose() * weight;
+        jtr += row * (residual * weight);
+    }
+    (jtj, jtr)
+}
+
+/// Residual of a site and its derivative by turn, shift and log gain.
+fn row(
+    view: &View,
+    point: &Point3<f64>,
+    normal: &Vector3<f64>,
+    albedo: f64,
+    centre: &Point3<f64>,
+) -> Option<(f64, Vector7)> {
+    let sample = view.sample(point, normal)?;
+    let (light, n) = (view.light_camera(), &sample.normal_camera);
+    let prediction = albedo * sample.unit_prediction;
+    let to_light = light - sample.point_camera;
+    let scale = view.gain * albedo;
+    let by_normal = -to_light * (scale / to_light.norm().powi(3));
+    let by_point =
+        view.image_gradient(&sample)? - falloff_by_point(&sample.point_camera, n, light) * scale;
+    // A turn ω moves the point by ω × lever and the normal by ω × n.
+    let lever = sample.point_camera - centre;
+    let by_turn = lever.cross(&by_point) + n.cross(&by_normal);
+    let row = Vector7::from_column_slice(&[
+        by_turn.x,
+        by_turn.y,
+        by_turn.z,
+        by_point.x,
+        by_point.y,
+        by_point.z,
+        -prediction,
+    ]);
+    Some((
+        (sample.observed - prediction) / sample.sigma,
+        row / sample.sigma,
+    ))
+}
+
+/// Prior that ties the view to its tracked pose and to gain 1.
+fn prior(view: &View, centre: &Point3<f64>, params: &AlignmentParams) -> (Matrix7, Vector7) {
+    let moved = view.camera_from_world * view.tracked_camera_from_world.inverse();
+    let turn = moved.rotation.scaled_axis();
+    let shift = moved.translation.vector - (centre.coords - moved.rotation * centre.coords);
+    let offset = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+    let [r, t, g] = [
+        params.rotation_sigma_rad,
+        params.translation_sigma_m,
+        params.gain_sigma,
+    ]
+    .map(|s| 1.0 / (s * s));
+    let weights = Matrix6::from_diagonal(&Vector6::new(r, r, r, t, t, t));
+    let mut jtj = Matrix7::zeros();
+    jtj.fixed_view_mut::<6, 6>(0, 0).copy_from(&weights);
+    jtj[(6, 6)] = g;
+    let mut jtr = Vector7::zeros();
+    jtr.fixed_rows_mut::<6>(0).copy_from(&(weights * offset));
+    jtr[6] = g * view.gain.ln();
+    (jtj, jtr)
+}

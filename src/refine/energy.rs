@@ -1,0 +1,263 @@
+//! The energy of Eq. (5): data term Eq. (6) at face sites over all views, smoothness Eq. (7) and anchor Eq. (8) on the
+//! total displacement; its value, and its normal equations by the displacements along fixed directions.
+//!
+//! A face site has the facet's own normal, so that each residual touches three displacements: `∂N/∂δ_a = m_a × (b − c)`
+//! for `N = (b − a) × (c − a)`, and `∂n = (I − n nᵀ)/|N| ∂N`. All views of a site share that pattern and are summed into
+//! one 3×3 block. Sums run over fixed tiles, in order.
+
+use super::view::View;
+use crate::geometry::{EdgeAdjacency, TriMesh};
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+
+/// Weights of the priors, in units of the surface.
+#[derive(Clone, Copy, Debug)]
+pub struct PriorWeights {
+    /// Of a squared displacement, per m² (of displacement) and vertex: Eq. (8).
+    pub anchor: f64,
+    /// Of a squared difference of displacements along an edge, per m²: Eq. (7).
+    pub smoothness: f64,
+}
+
+/// The surface and what the displacements mean.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    /// The mesh as displaced so far.
+    pub mesh: TriMesh,
+    /// Directions of the displacements, unit length, one a vertex.
+    pub directions: Vec<Vector3<f64>>,
+    /// Displacement from the base mesh so far, along the directions, metres.
+    pub total_m: Vec<f64>,
+}
+
+/// What stays fixed while displacements are solved for.
+pub struct Problem<'a> {
+    /// The shading images.
+    pub views: &'a [View],
+    /// Bit k of a face is set where view k sees it.
+    pub visible: &'a [u64],
+    /// Where each face is sampled and lit from: its centroid at the start of the round (Sec. 4.3 holds d and l).
+    pub sites: &'a [Point3<f64>],
+    /// Albedo of each face.
+    pub albedo: &'a [f64],
+    /// Scale of the residuals in sigmas, and the Tukey cut-off in that scale.
+    pub loss: Tukey,
+    /// Priors.
+    pub priors: PriorWeights,
+    /// Edges of the mesh.
+    pub edges: &'a EdgeAdjacency,
+}
+
+/// Tukey's biweight: residuals beyond `cutoff · scale` do not count at all.
+#[derive(Clone, Copy, Debug)]
+pub struct Tukey {
+    /// Robust standard deviation of the residuals.
+    pub scale: f64,
+    /// Cut-off in scales; 4.685 is 95 % efficient on Gaussian residuals.
+    pub cutoff: f64,
+}
+
+impl Tukey {
+    /// Loss of a residual: `c²/6 · (1 − (1 − (r/c)²)³)`, in squared scales.
+    pub fn loss(&self, residual: f64) -> f64 {
+        let t = 1.0 - (residual / (self.scale * self.cutoff)).powi(2);
+        self.cutoff * self.cutoff / 6.0 * (1.0 - t.max(0.0).powi(3))
+    }
+
+    /// Weight of a squared residual in scales: `(1 − (r/c)²)²`, over the squared scale.
+    pub fn weight(&self, residual: f64) -> f64 {
+        let t = (1.0 - (residual / (self.scale * self.cutoff)).powi(2)).max(0.0);
+        t * t / (self.scale * self.scale)
+    }
+}
+
+/// Normal equations: `diagonal` by vertex, `off_diagonal` by edge, `gradient` by vertex.
+#[derive(Clone, Debug)]
+pub struct NormalMatrix {
+    /// One entry a vertex.
+    pub diagonal: Vec<f64>,
+    /// One entry an edge.
+    pub off_diagonal: Vec<f64>,
+    /// Half the derivative of the energy by each displacement.
+    pub gradient: Vec<f64>,
+}
+
+/// Faces in a tile of a sum.
+const TILE: usize = 2048;
+
+/// One facet's block of the normal equations.
+#[derive(Clone, Copy, Default)]
+struct FaceBlock {
+    jtj: Matrix3<f64>,
+    jtr: Vector3<f64>,
+}
+
+impl Problem<'_> {
+    /// Energy of the surface.
+    pub fn energy(&self, surface: &Surface) -> f64 {
+        let data: Vec<f64> = (0..surface.mesh.faces.len().div_ceil(TILE))
+            .into_par_iter()
+            .map(|tile| {
+                let end = ((tile + 1) * TILE).min(surface.mesh.faces.len());
+                (tile * TILE..end)
+                    .map(|face| self.face_energy(&surface.mesh, face))
+                    .sum()
+            })
+            .collect();
+        0.5 * data.iter().sum::<f64>() + self.prior_energy(&surface.total_m)
+    }
+
+    fn prior_energy(&self, total_m: &[f64]) -> f64 {
+        let anchor: f64 = total_m.iter().map(|t| t * t).sum();
+        let smoothness: f64 = self
+            .edges
+            .edges
+            .iter()
+            .map(|&[i, j]| (total_m[i as usize] - total_m[j as usize]).powi(2))
+            .sum();
+        0.5 * (self.priors.anchor * anchor + self.priors.smoothness * smoothness)
+    }
+
+    fn face_energy(&self, mesh: &TriMesh, face: usize) -> f64 {
+        let Some((normal, area)) = unit_normal(mesh, face) else {
+            return 0.0;
+        };
+        let mut energy = 0.0;
+        for view in views_of(self.visible[face], self.views) {
+            let Some(sample) = view.sample(&self.sites[face], &normal) else {
+                continue;
+            };
+            let residual =
+                (sample.observed - self.albedo[face] * sample.unit_prediction) / sample.sigma;
+            let weight = view
+                .pixels_covered(&self.sites[face], &normal, area)
+                .min(1.0);
+            energy += 2.0 * weight * self.loss.loss(residual);
+        }
+        energy
+    }
+
+    /// Gauss-Newton normal equations about the surface, robust weights held.
+    pub fn linearise(&self, surface: &Surface, face_edges: &[[u32; 3]]) -> NormalMatrix {
+        let blocks: Vec<FaceBlock> = (0..surface.mesh.faces.len())
+            .into_par_iter()
+            .with_min_len(TILE)
+            .map(|face| self.face_block(surface, face))
+            .collect();
+        let n = surface.mesh.vertices.len();
+        let mut matrix = NormalMatrix {
+            diagonal: vec![self.priors.anchor; n],
+            off_diagonal: vec![0.0; self.edges.edges.len()],
+            gradient: surface
+                .total_m
+                .iter()
+                .map(|t| self.priors.anchor * t)
+                .collect(),
+        };
+        for (edge, &[i, j]) in self.edges.edges.iter().enumerate() {
+            let (i, j) = (i as usize, j as usize);
+            let slope = self.priors.smoothness * (surface.total_m[i] - surface.total_m[j]);
+            matrix.diagonal[i] += self.priors.smoothness;
+            matrix.diagonal[j] += self.priors.smoothness;
+            matrix.off_diagonal[edge] -= self.priors.smoothness;
+            matrix.gradient[i] += slope;
+            matrix.gradient[j] -= slope;
+        }
+        for ((face, block), edges) in surface.mesh.faces.iter().zip(&blocks).zip(face_edges) {
+            for corner in 0..3 {
+                matrix.diagonal[face[corner] as usize] += block.jtj[(corner, corner)];
+                matrix.gradient[face[corner] as usize] += block.jtr[corner];
+                matrix.off_diagonal[edges[corner] as usize] +=
+                    block.jtj[(corner, (corner + 1) % 3)];
+            }
+        }
+        matrix
+    }
+
+    fn face_block(&self, surface: &Surface, face: usize) -> FaceBlock {
+        let mut block = FaceBlock::default();
+        if self.visible[face] == 0 {
+            return block;
+        }
+        let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
+            return block;
+        };
+        let by_corner = normal_by_displacement(surface, face, &normal);
+        for view in views_of(self.visible[face], self.views) {
+            let Some(residual) = view.residual(&self.sites[face], &normal, self.albedo[face])
+            else {
+                continue;
+            };
+            let weight = self.loss.weight(residual.value)
+                * view
+                    .pixels_covered(&self.sites[face], &normal, area)
+                    .min(1.0);
+            // The pixel, d and l are held: only the normal moves with the displacements.
+            let row = Vector3::from_fn(|corner, _| residual.by_normal.dot(&by_corner[corner]));
+            block.jtj += row * row.transpose() * weight;
+            block.jtr += row * (weight * residual.value);
+        }
+        block
+    }
+}
+
+/// The views whose bit is set.
+pub fn views_of(mask: u64, views: &[View]) -> impl Iterator<Item = &View> {
+    views
+        .iter()
+        .enumerate()
+        .filter(move |(k, _)| mask >> k & 1 == 1)
+        .map(|(_, view)| view)
+}
+
+/// Unit normal and area (m²) of a face; `None` where it has no area.
+pub fn unit_normal(mesh: &TriMesh, face: usize) -> Option<(Vector3<f64>, f64)> {
+    let normal = mesh.face_normal(face);
+    let norm = normal.norm();
+    (norm > 0.0).then(|| (normal / norm, 0.5 * norm))
+}
+
+/// Derivatives of a facet's unit normal by the displacements of its corners, per metre.
+fn normal_by_displacement(
+    surface: &Surface,
+    face: usize,
+    normal: &Vector3<f64>,
+) -> [Vector3<f64>; 3] {
+    let corners = surface.mesh.corners(face);
+    let inv_norm = 1.0 / surface.mesh.face_normal(face).norm();
+    std::array::from_fn(|corner| {
+        let direction = surface.directions[surface.mesh.faces[face][corner] as usize];
+        let opposite = corners[(corner + 1) % 3] - corners[(corner + 2) % 3];
+        let change = direction.cross(&opposite);
+        (change - normal * normal.dot(&change)) * inv_norm
+    })
+}
+
+/// For each face the edges from corner 0 to 1, 1 to 2 and 2 to 0, as indices of `edges`.
+pub fn face_edges(mesh: &TriMesh, edges: &EdgeAdjacency) -> Vec<[u32; 3]> {
+    mesh.faces
+        .par_iter()
+        .map(|face| {
+            std::array::from_fn(|corner| {
+                let (p, q) = (face[corner], face[(corner + 1) % 3]);
+                let key = [p.min(q), p.max(q)];
+                edges
+                    .edges
+                    .binary_search(&key)
+                    .expect("every side of a face is an edge") as u32
+            })
+        })
+        .collect()
+}
+
+impl Surface {
+    /// The surface with every vertex moved along its direction.
+    pub fn displaced(&self, step_m: &[f64]) -> Surface {
+        let mut next = self.clone();
+        for (vertex, &step) in step_m.iter().enumerate() {
+            next.mesh.vertices[vertex] += self.directions[vertex] * step;
+            next.total_m[vertex] += step;
+        }
+        next
+    }
+}

@@ -1,0 +1,237 @@
+//! Which part of a base mesh is the object: what stands above the dominant plane where the cameras looked, with the parts
+//! that touch it; or what lies in a box.
+
+use crate::geometry::{Pose, TriMesh};
+use nalgebra::{Point3, Vector3};
+use std::collections::BTreeMap;
+
+/// An axis-aligned box in the world frame, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Roi {
+    /// Smallest coordinates.
+    pub min: Point3<f64>,
+    /// Largest coordinates.
+    pub max: Point3<f64>,
+}
+
+/// A plane `normal·x = offset_m`, its normal out of the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// Unit normal.
+    pub normal: Vector3<f64>,
+    /// Distance of the plane from the origin along the normal, metres.
+    pub offset_m: f64,
+}
+
+impl Plane {
+    /// Signed height of a point above the plane, metres.
+    pub fn height_m(&self, point: &Point3<f64>) -> f64 {
+        self.normal.dot(&point.coords) - self.offset_m
+    }
+}
+
+/// A face belongs to a plane within this distance, metres: three sigmas of fused depth.
+const PLANE_REACH_M: f64 = 0.006;
+/// ... and within this angle of its normal: 20°, since normals of a fused mesh are noisy.
+const PLANE_MIN_COSINE: f64 = 0.94;
+/// A plane must hold this share of the surface to be the one that the object stands on; arbitrary.
+const PLANE_MIN_SHARE: f64 = 0.15;
+/// What is lower than this above the plane is the plane, metres.
+const STAND_OFF_M: f64 = 0.006;
+/// Parts nearer to each other than this touch, metres; leaves of a plant leave gaps of a few voxels.
+const TOUCH_M: f64 = 0.008;
+/// Smaller parts are noise, m²; arbitrary.
+const MIN_PART_AREA_M2: f64 = 1e-4;
+/// Surfaces count by how near the optical axes they lie: Gaussian of this angle, radians.
+const ATTENTION_RAD: f64 = 0.14;
+
+/// The faces of the base mesh inside a box.
+pub fn select_roi(mesh: &TriMesh, roi: &Roi) -> TriMesh {
+    let inside =
+        |p: &Point3<f64>| (0..3).all(|axis| p[axis] >= roi.min[axis] && p[axis] <= roi.max[axis]);
+    mesh.filter_faces(|face| mesh.corners(face).iter().all(inside))
+}
+
+/// The object that the cameras looked at, and the plane it stands on, if there is one; the mesh is empty if nothing is left.
+pub fn select_object(mesh: &TriMesh, world_from_cameras: &[Pose]) -> (TriMesh, Option<Plane>) {
+    let plane = dominant_plane(mesh);
+    let standing = match &plane {
+        None => mesh.clone(),
+        Some(plane) => {
+            let high: Vec<bool> = mesh
+                .vertices
+                .iter()
+                .map(|vertex| plane.height_m(vertex) > STAND_OFF_M)
+                .collect();
+            mesh.filter_faces(|face| mesh.faces[face].iter().all(|&vertex| high[vertex as usize]))
+        }
+    };
+    let (labels, n_parts) = standing.face_components();
+    let parts = measure_parts(&standing, &labels, n_parts, world_from_cameras);
+    let Some(main) =
+        (0..n_parts).max_by(|&a, &b| parts[a].attention.total_cmp(&parts[b].attention))
+    else {
+        return (TriMesh::default(), plane);
+    };
+    let kept = touching_parts(&standing, &labels, &parts, main);
+    (
+        standing.filter_faces(|face| kept[labels[face] as usize]),
+        plane,
+    )
+}
+
+#[derive(Clone, Copy, Default)]
+struct Part {
+    area_m2: f64,
+    /// Area weighted by nearness to the optical axes.
+    attention: f64,
+}
+
+fn measure_parts(
+    mesh: &TriMesh,
+    labels: &[u32],
+    n_parts: usize,
+    world_from_cameras: &[Pose],
+) -> Vec<Part> {
+    let mut parts = vec![Part::default(); n_parts];
+    let every = world_from_cameras.len().div_ceil(24).max(1);
+    let cameras: Vec<Pose> = world_from_cameras
+        .iter()
+        .step_by(every)
+        .map(Pose::inverse)
+        .collect();
+    for (face, &label) in labels.iter().enumerate() {
+        let area_m2 = 0.5 * mesh.face_normal(face).norm();
+        let centroid = mesh.centroid(face);
+        let attention: f64 = cameras
+            .iter()
+            .map(|camera_from_world| {
+                let point = camera_from_world * centroid;
+                let angle = point.x.hypot(point.y).atan2(point.z);
+                (-0.5 * (angle / ATTENTION_RAD).powi(2)).exp()
+            })
+            .sum();
+        let part = &mut parts[label as usize];
+        part.area_m2 += area_m2;
+        part.attention += area_m2 * attention;
+    }
+    parts
+}
+
+/// The parts connected to `main` by gaps of less than `TOUCH_M`, noise left out.
+fn touching_parts(mesh: &TriMesh, labels: &[u32], parts: &[Part], main: usize) -> Vec<bool> {
+    // Parts meet where their vertices share a cell of a grid, or neighbouring cells.
+    let cell_of = |p: &Point3<f64>| [p.x, p.y, p.z].map(|x| (x / TOUCH_M).floor() as i32);
+    let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
+    for (face, &label) in labels.iter().enumerate() {
+        if parts[label as usize].area_m2 < MIN_PART_AREA_M2 {
+            continue;
+        }
+        let cell = cells.entry(cell_of(&mesh.centroid(face))).or_default();
+        if !cell.contains(&label) {
+            cell.push(label);
+        }
+    }
+    let mut touches: Vec<Vec<u32>> = vec![Vec::new(); parts.len()];
+    for (cell, here) in &cells {
+        for step in 0..27 {
+            let next = [
+                cell[0] + step % 3 - 1,
+                cell[1] + step / 3 % 3 - 1,
+                cell[2] + step / 9 - 1,
+            ];
+            let Some(there) = cells.get(&next) else {
+                continue;
+            };
+            for &a in here {
+                touches[a as usize].extend(there.iter().filter(|&&b| b != a));
+            }
+        }
+    }
+    let mut kept = vec![false; parts.len()];
+    kept[main] = true;
+    let mut pending = vec![main];
+    while let Some(part) = pending.pop() {
+        for &next in &touches[part] {
+            if !kept[next as usize] {
+                kept[next as usize] = true;
+                pending.push(next as usize);
+            }
+        }
+    }
+    kept
+}
+
+/// The plane that holds most of the surface, by RANSAC over oriented faces and a least-squares fit of its inliers.
+pub fn dominant_plane(mesh: &TriMesh) -> Option<Plane> {
+    /// Faces looked at, and planes tried: enough for a plane of 15 % to be met 60 times.
+    const MAX_FACES: usize = 40_000;
+    const N_TRIALS: usize = 400;
+    let every = mesh.faces.len().div_ceil(MAX_FACES).max(1);
+    let faces: Vec<(Point3<f64>, Vector3<f64>, f64)> = (0..mesh.faces.len())
+        .step_by(every)
+        .filter_map(|face| {
+            let normal = mesh.face_normal(face);
+            let area = normal.norm();
+            Some((mesh.centroid(face), normal.try_normalize(0.0)?, area))
+        })
+        .collect();
+    let total: f64 = faces.iter().map(|face| face.2).sum();
+    let support = |plane: &Plane| -> f64 {
+        faces
+            .iter()
+            .filter(|face| on_plane(plane, face))
+            .map(|face| face.2)
+            .sum()
+    };
+    let candidates = (0..N_TRIALS.min(faces.len())).map(|trial| {
+        // A stride that shares no factor with most counts visits faces all over the mesh.
+        let (point, normal, _) = &faces[(trial * 7919) % faces.len()];
+        Plane {
+            normal: *normal,
+            offset_m: normal.dot(&point.coords),
+        }
+    });
+    let (mut plane, mut area) = candidates
+        .map(|plane| (plane, support(&plane)))
+        .max_by(|a, b| a.1.total_cmp(&b.1))?;
+    for _ in 0..5 {
+        let Some(fitted) = fit_plane(&plane, &faces) else {
+            break;
+        };
+        let fitted_area = support(&fitted);
+        if fitted_area < area {
+            break;
+        }
+        (plane, area) = (fitted, fitted_area);
+    }
+    (area >= PLANE_MIN_SHARE * total).then_some(plane)
+}
+
+fn on_plane(plane: &Plane, (point, normal, _): &(Point3<f64>, Vector3<f64>, f64)) -> bool {
+    plane.height_m(point).abs() < PLANE_REACH_M && plane.normal.dot(normal) > PLANE_MIN_COSINE
+}
+
+/// Least-squares plane through the faces that lie on `plane`, weighted by area.
+fn fit_plane(plane: &Plane, faces: &[(Point3<f64>, Vector3<f64>, f64)]) -> Option<Plane> {
+    let inliers = || faces.iter().filter(|face| on_plane(plane, face));
+    let area: f64 = inliers().map(|face| face.2).sum();
+    let mean = inliers().fold(Vector3::zeros(), |sum, face| sum + face.0.coords * face.2) / area;
+    let covariance = inliers().fold(nalgebra::Matrix3::zeros(), |sum, face| {
+        let offset = face.0.coords - mean;
+        sum + offset * offset.transpose() * face.2
+    });
+    let eigen = covariance.symmetric_eigen();
+    let least = eigen.eigenvalues.imin();
+    let normal: Vector3<f64> = eigen.eigenvectors.column(least).into();
+    let normal = if normal.dot(&plane.normal) < 0.0 {
+        -normal
+    } else {
+        normal
+    };
+    let normal = normal.try_normalize(0.0)?;
+    Some(Plane {
+        normal,
+        offset_m: normal.dot(&mean),
+    })
+}

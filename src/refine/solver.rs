@@ -1,0 +1,197 @@
+//! Levenberg–Marquardt on the robust energy with a sparse Cholesky factorisation whose analysis is made once a mesh.
+
+use super::energy::{NormalMatrix, Problem, Surface, face_edges};
+use crate::geometry::EdgeAdjacency;
+use faer::Side;
+use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use serde::Serialize;
+
+/// How a solve ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RefineStatus {
+    /// The energy stopped falling.
+    Converged,
+    /// All iterations were used.
+    IterationLimit,
+    /// No damping gave a lower energy.
+    Stalled,
+    /// The caller asked to stop.
+    Cancelled,
+    /// The normal equations could not be factorised.
+    Singular,
+}
+
+/// One accepted step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Iteration {
+    /// Outer round, from 0.
+    pub round: usize,
+    /// Robust energy before the step.
+    pub energy_before: f64,
+    /// Robust energy after it.
+    pub energy_after: f64,
+    /// Levenberg–Marquardt damping of the accepted step.
+    pub damping: f64,
+    /// Largest displacement of a vertex in the step, metres.
+    pub max_step_m: f64,
+}
+
+/// The sparsity pattern of a mesh's normal matrix, analysed once.
+pub struct Pattern {
+    column_starts: Vec<usize>,
+    row_indices: Vec<usize>,
+    symbolic: SymbolicLlt<usize>,
+    face_edges: Vec<[u32; 3]>,
+}
+
+impl Pattern {
+    /// Analyses the pattern; `None` where memory does not suffice.
+    pub fn new(surface: &Surface, edges: &EdgeAdjacency) -> Option<Pattern> {
+        let n = surface.mesh.vertices.len();
+        let mut column_starts = Vec::with_capacity(n + 1);
+        let mut row_indices = Vec::with_capacity(n + edges.edges.len());
+        let mut edge = 0;
+        for vertex in 0..n {
+            column_starts.push(row_indices.len());
+            row_indices.push(vertex);
+            while edge < edges.edges.len() && edges.edges[edge][0] as usize == vertex {
+                row_indices.push(edges.edges[edge][1] as usize);
+                edge += 1;
+            }
+        }
+        column_starts.push(row_indices.len());
+        let symbolic = {
+            let pattern =
+                SymbolicSparseColMatRef::new_checked(n, n, &column_starts, None, &row_indices);
+            SymbolicLlt::try_new(pattern, Side::Lower).ok()?
+        };
+        let face_edges = face_edges(&surface.mesh, edges);
+        Some(Pattern {
+            column_starts,
+            row_indices,
+            symbolic,
+            face_edges,
+        })
+    }
+
+    /// Solves `(H + damping · diag H) x = −gradient`; `None` where H is not positive definite.
+    fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Vec<f64>> {
+        let n = matrix.diagonal.len();
+        let mut values = Vec::with_capacity(self.row_indices.len());
+        let mut edge = 0;
+        for vertex in 0..n {
+            values.push(matrix.diagonal[vertex] * (1.0 + damping));
+            let n_edges = self.column_starts[vertex + 1] - self.column_starts[vertex] - 1;
+            values.extend_from_slice(&matrix.off_diagonal[edge..edge + n_edges]);
+            edge += n_edges;
+        }
+        let pattern = SymbolicSparseColMatRef::new_checked(
+            n,
+            n,
+            &self.column_starts,
+            None,
+            &self.row_indices,
+        );
+        let lower = SparseColMatRef::new(pattern, &values);
+        let factor = Llt::try_new_with_symbolic(self.symbolic.clone(), lower, Side::Lower).ok()?;
+        let mut x = faer::Mat::from_fn(n, 1, |row, _| -matrix.gradient[row]);
+        factor.solve_in_place(&mut x);
+        let x: Vec<f64> = (0..n).map(|row| x[(row, 0)]).collect();
+        x.iter().all(|value| value.is_finite()).then_some(x)
+    }
+}
+
+/// Bounds of one inner solve.
+#[derive(Clone, Copy, Debug)]
+pub struct SolverParams {
+    /// Accepted steps at most.
+    pub max_steps: usize,
+    /// The solve has converged when a step lowers the energy by less than this share.
+    pub min_decrease: f64,
+    /// No vertex moves farther than this in one step, metres.
+    pub max_step_m: f64,
+}
+
+/// Lowers the energy of the surface; the energy never rises.
+pub fn minimise(
+    surface: &mut Surface,
+    problem: &Problem,
+    pattern: &Pattern,
+    params: &SolverParams,
+    mut accepted: impl FnMut(Iteration) -> bool,
+) -> RefineStatus {
+    const MAX_DAMPING: f64 = 1e6;
+    let mut energy = problem.energy(surface);
+    let mut damping = 1e-4;
+    for _ in 0..params.max_steps {
+        let matrix = problem.linearise(surface, &pattern.face_edges);
+        let (next, next_energy, max_step_m) = loop {
+            let Some(mut step) = pattern.solve(&matrix, damping) else {
+                return RefineStatus::Singular;
+            };
+            for value in &mut step {
+                *value = value.clamp(-params.max_step_m, params.max_step_m);
+            }
+            hold_back_flips(surface, &mut step);
+            let trial = surface.displaced(&step);
+            let trial_energy = problem.energy(&trial);
+            if trial_energy < energy {
+                break (
+                    trial,
+                    trial_energy,
+                    step.iter().fold(0.0, |max: f64, s| max.max(s.abs())),
+                );
+            }
+            damping *= 10.0;
+            if damping > MAX_DAMPING {
+                return RefineStatus::Stalled;
+            }
+        };
+        *surface = next;
+        let iteration = Iteration {
+            round: 0,
+            energy_before: energy,
+            energy_after: next_energy,
+            damping,
+            max_step_m,
+        };
+        if !accepted(iteration) {
+            return RefineStatus::Cancelled;
+        }
+        let decrease = (energy - next_energy) / energy;
+        energy = next_energy;
+        damping = (damping * 0.1).max(1e-8);
+        if decrease < params.min_decrease {
+            return RefineStatus::Converged;
+        }
+    }
+    RefineStatus::IterationLimit
+}
+
+/// Shortens the step at the corners of faces that it would turn by more than 60°, until none is left.
+fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
+    const MIN_COSINE: f64 = 0.5;
+    const HALVINGS: usize = 8;
+    let before: Vec<_> = (0..surface.mesh.faces.len())
+        .map(|face| surface.mesh.face_normal(face))
+        .collect();
+    for _ in 0..HALVINGS {
+        let after = surface.displaced(step);
+        let mut any = false;
+        for (face, old) in before.iter().enumerate() {
+            let new = after.mesh.face_normal(face);
+            if new.dot(old) < MIN_COSINE * new.norm() * old.norm() {
+                any = true;
+                for &vertex in &surface.mesh.faces[face] {
+                    step[vertex as usize] *= 0.5;
+                }
+            }
+        }
+        if !any {
+            break;
+        }
+    }
+}

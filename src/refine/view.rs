@@ -1,0 +1,287 @@
+//! One shading image made ready for the solver: linear intensities, what hides the object from camera and light, and the
+//! residual of Eq. (6) with its derivatives.
+
+use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, rasterise};
+use crate::shading::{Calibration, LinearImage, falloff, falloff_by_point, linearise};
+use crate::snapshot::ShadingSnapshot;
+use depth_camera::{Image, Intrinsics};
+use nalgebra::{Point3, Vector3};
+
+/// What all views of one camera share.
+pub struct Optics<'a> {
+    /// Rays and camera of the images.
+    pub rays: &'a RayGrid,
+    /// Position of the light in the camera frame, metres.
+    pub light_camera: Point3<f64>,
+    /// IR counts at full scale.
+    pub full_scale: f64,
+    /// Response, flat field and noise.
+    pub calibration: &'a Calibration,
+}
+
+/// A shading image with its pose and gain as far as they are known.
+#[derive(Clone, Debug)]
+pub struct View {
+    camera: CameraModel,
+    light_camera: Point3<f64>,
+    linear: LinearImage,
+    /// Surface seen from the camera, metres.
+    camera_depth_m: Image<f32>,
+    light_model: CameraModel,
+    /// Surface seen from the light, metres.
+    light_depth_m: Image<f32>,
+    /// Pose from tracking.
+    pub tracked_camera_from_world: Pose,
+    /// Pose refined by the images.
+    pub camera_from_world: Pose,
+    /// Brightness of this view against the others.
+    pub gain: f64,
+}
+
+/// From this share of full scale a pixel counts as saturated.
+const SATURATION: f64 = 0.985;
+/// Model error as a share of the intensity: interreflection, lobe and albedo texture; adds to the pixel's noise.
+const MODEL_ERROR: f64 = 0.01;
+/// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
+const HIDDEN_BEYOND_M: f64 = 0.004;
+/// Live depth nearer than the model by this much is something in front of it, metres.
+const OCCLUDER_M: f32 = 0.015;
+/// Depth differences beyond this between pixels two apart are an edge, metres; 78° at 0.6 m on Kinect II.
+const DEPTH_EDGE_M: f32 = 0.02;
+/// Cosines of incidence below this are grazing, at the camera and at the light.
+const MIN_COSINE: f64 = 0.25;
+
+/// The residual of one site in one view, divided by its standard deviation.
+#[derive(Clone, Copy, Debug)]
+pub struct Residual {
+    /// Observed less predicted linear intensity, in sigmas.
+    pub value: f64,
+    /// Derivative by the unit normal (world).
+    pub by_normal: Vector3<f64>,
+    /// Derivative by the point (world), per metre: falloff and image gradient together.
+    pub by_point: Vector3<f64>,
+}
+
+/// What a site looks like in a view.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Observed linear intensity.
+    pub observed: f64,
+    /// Its gradient on the image, per pixel.
+    pub gradient: [f64; 2],
+    /// Its standard deviation.
+    pub sigma: f64,
+    /// `gain · (n·l)/d²`: the prediction for unit albedo.
+    pub unit_prediction: f64,
+    /// The point in the camera frame, metres.
+    pub point_camera: Point3<f64>,
+    /// The normal in the camera frame.
+    pub normal_camera: Vector3<f64>,
+}
+
+impl View {
+    /// Linearises a snapshot and renders what hides the object in it; `scene` is the whole base mesh.
+    pub fn new(snapshot: &ShadingSnapshot, scene: &TriMesh, optics: &Optics) -> View {
+        let camera = *optics.rays.camera();
+        let camera_from_world = snapshot.world_from_camera.inverse();
+        let camera_depth_m = rasterise(scene, &camera, &camera_from_world).depth_m;
+        let light_model = light_camera_model();
+        let light_from_camera = nalgebra::Translation3::from(-optics.light_camera.coords);
+        let light_depth_m = rasterise(
+            scene,
+            &light_model,
+            &(light_from_camera * camera_from_world),
+        )
+        .depth_m;
+        let mut linear = linearise(
+            &snapshot.ir_counts,
+            optics.full_scale,
+            SATURATION,
+            optics.calibration,
+            optics.rays,
+        );
+        mask_edges_and_occluders(&mut linear.value, &camera_depth_m, &snapshot.depth_m);
+        View {
+            camera,
+            light_camera: optics.light_camera,
+            linear,
+            camera_depth_m,
+            light_model,
+            light_depth_m,
+            tracked_camera_from_world: camera_from_world,
+            camera_from_world,
+            gain: 1.0,
+        }
+    }
+
+    /// Whether the view sees a point of the surface well enough to learn from it: unhidden from camera and light, not
+    /// grazing, and its pixel usable.
+    pub fn sees(&self, point_world: &Point3<f64>, normal_world: &Vector3<f64>) -> bool {
+        // Hiding is judged where the tracker put the camera, since the buffers were rendered from there.
+        let point = self.tracked_camera_from_world * point_world;
+        let normal = self.tracked_camera_from_world * normal_world;
+        let to_light = self.light_camera - point;
+        let facing =
+            |direction: &Vector3<f64>| normal.dot(direction) > MIN_COSINE * direction.norm();
+        if !facing(&-point.coords) || !facing(&to_light) {
+            return false;
+        }
+        let point_light = Point3::from(-to_light);
+        unhidden(&self.camera, &self.camera_depth_m, &point)
+            && unhidden(&self.light_model, &self.light_depth_m, &point_light)
+            && self.sample(point_world, normal_world).is_some()
+    }
+
+    /// What a site looks like in this view; `None` where its pixel is unusable or it faces away from the light.
+    pub fn sample(&self, point_world: &Point3<f64>, normal_world: &Vector3<f64>) -> Option<Sample> {
+        let point_camera = self.camera_from_world * point_world;
+        let normal_camera = self.camera_from_world * normal_world;
+        let pixel = self.camera.project(&point_camera)?;
+        let (observed, gradient, noise) = self.linear.sample(pixel.x, pixel.y)?;
+        let unit_prediction =
+            self.gain * falloff(&point_camera, &normal_camera, &self.light_camera);
+        let sigma = (noise * noise + (MODEL_ERROR * observed).powi(2)).sqrt();
+        (unit_prediction > 0.0).then_some(Sample {
+            observed,
+            gradient,
+            sigma,
+            unit_prediction,
+            point_camera,
+            normal_camera,
+        })
+    }
+
+    /// Residual of Eq. (6) at a site, with every derivative.
+    pub fn residual(
+        &self,
+        point: &Point3<f64>,
+        normal: &Vector3<f64>,
+        albedo: f64,
+    ) -> Option<Residual> {
+        let sample = self.sample(point, normal)?;
+        let inv_sigma = 1.0 / sample.sigma;
+        let scale = -self.gain * albedo * inv_sigma;
+        let to_light = self.light_camera - sample.point_camera;
+        let distance = to_light.norm();
+        let by_normal_camera = to_light * (scale / (distance * distance * distance));
+        let by_point_camera = falloff_by_point(
+            &sample.point_camera,
+            &sample.normal_camera,
+            &self.light_camera,
+        ) * scale
+            + self.image_gradient(&sample)? * inv_sigma;
+        let world_from_camera = self.camera_from_world.rotation.inverse();
+        Some(Residual {
+            value: (sample.observed - albedo * sample.unit_prediction) * inv_sigma,
+            by_normal: world_from_camera * by_normal_camera,
+            by_point: world_from_camera * by_point_camera,
+        })
+    }
+
+    /// Derivative of the observed intensity by the point in the camera frame, per metre.
+    pub fn image_gradient(&self, sample: &Sample) -> Option<Vector3<f64>> {
+        let (_, jacobian) = self.camera.project_with_jacobian(&sample.point_camera)?;
+        let [du, dv] = sample.gradient;
+        Some((jacobian.row(0) * du + jacobian.row(1) * dv).transpose())
+    }
+
+    /// The light in the camera frame, metres.
+    pub fn light_camera(&self) -> &Point3<f64> {
+        &self.light_camera
+    }
+
+    /// Pixels that a patch of the surface covers: its area (m²), foreshortened, over that of a pixel at its depth.
+    pub fn pixels_covered(
+        &self,
+        point_world: &Point3<f64>,
+        normal_world: &Vector3<f64>,
+        area_m2: f64,
+    ) -> f64 {
+        let point = self.camera_from_world * point_world;
+        let cosine =
+            -(self.camera_from_world * normal_world).dot(&point.coords) / point.coords.norm();
+        let i = self.camera.intrinsics();
+        area_m2 * cosine.max(0.0) * i.fx * i.fy / (point.z * point.z)
+    }
+
+    /// Where a point appears in this view, pixels.
+    pub fn pixel(
+        &self,
+        point_world: &Point3<f64>,
+        camera_from_world: &Pose,
+    ) -> Option<nalgebra::Vector2<f64>> {
+        self.camera.project(&(camera_from_world * point_world))
+    }
+
+    /// Pixels that carry shading information: white where used.
+    pub fn mask(&self) -> Image<u8> {
+        self.linear
+            .value
+            .map(|value| if value.is_nan() { 0 } else { 255 })
+    }
+}
+
+/// The light's "camera" for shadows: a pinhole with the camera's orientation and a field of 100°.
+fn light_camera_model() -> CameraModel {
+    const SIDE: usize = 800;
+    let focal = SIDE as f64 / 2.0 / 50.0f64.to_radians().tan();
+    CameraModel::new(Intrinsics {
+        width: SIDE,
+        height: SIDE,
+        fx: focal,
+        fy: focal,
+        cx: (SIDE - 1) as f64 / 2.0,
+        cy: (SIDE - 1) as f64 / 2.0,
+        k1: 0.0,
+        k2: 0.0,
+        p1: 0.0,
+        p2: 0.0,
+        k3: 0.0,
+    })
+}
+
+/// Whether a point lies on or before the surface of a depth buffer; of the four pixels round it the farthest counts, since
+/// the nearest may belong to another surface's rim.
+fn unhidden(camera: &CameraModel, depth_m: &Image<f32>, point: &Point3<f64>) -> bool {
+    let Some(pixel) = camera.project(point) else {
+        return false;
+    };
+    if !camera.contains(&pixel, 2.0) {
+        return false;
+    }
+    let (u, v) = (pixel.x as usize, pixel.y as usize);
+    [(0, 0), (1, 0), (0, 1), (1, 1)]
+        .iter()
+        .all(|(du, dv)| point.z < *depth_m.at(u + du, v + dv) as f64 + HIDDEN_BEYOND_M)
+}
+
+/// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN).
+fn mask_edges_and_occluders(
+    linear: &mut Image<f32>,
+    model_depth_m: &Image<f32>,
+    live_depth_m: &Image<f32>,
+) {
+    const REACH: usize = 2;
+    let (width, height) = (linear.width(), linear.height());
+    let mut usable = vec![false; width * height];
+    for v in REACH..height - REACH {
+        for u in REACH..width - REACH {
+            let centre = *model_depth_m.at(u, v);
+            if !centre.is_finite() {
+                continue;
+            }
+            let smooth = (v - REACH..=v + REACH).all(|y| {
+                model_depth_m.row(y)[u - REACH..=u + REACH]
+                    .iter()
+                    .all(|z| (z - centre).abs() < DEPTH_EDGE_M)
+            });
+            let live = *live_depth_m.at(u, v);
+            usable[v * width + u] = smooth && !(live > 0.0 && live < centre - OCCLUDER_M);
+        }
+    }
+    for (value, usable) in linear.data_mut().iter_mut().zip(usable) {
+        if !usable {
+            *value = f32::NAN;
+        }
+    }
+}
