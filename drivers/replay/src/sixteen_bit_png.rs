@@ -43,7 +43,7 @@ pub(crate) fn write(out: impl Write, image: &Image<u16>) -> Result<(), EncodingE
     let mut encoder = Encoder::new(out, width, height);
     encoder.set_color(ColorType::Grayscale);
     encoder.set_depth(BitDepth::Sixteen);
-    encoder.set_compression(Compression::High);
+    encoder.set_compression(Compression::Balanced);
     encoder.set_filter(Filter::Adaptive);
     let bytes: Vec<u8> = image
         .data()
