@@ -1,1 +1,22 @@
-//! To come.
+//! Recorded sessions behind [`depth_camera::DepthCamera`], and the writer of such recordings.
+//!
+//! A *session* is one folder: `session.toml` describes the camera, `depth.txt` and (where the camera delivers IR) `ir.txt`
+//! list the images as `timestamp filename`, one a line, in the style of the TUM RGB-D benchmark, `#` starting a comment.
+//! Images are 16-bit greyscale PNG: depth in `depth_units_per_metre`, 0 for no measurement; IR in raw counts. A *moment*
+//! is what one call to `grab` delivers: a depth and an IR image at most 10 ms apart, or one of them alone.
+//!
+//! A session that makes no sense is refused as a whole by [`ReplayCamera::open`]; an image that does not decode costs its
+//! own frame only. Nothing but the named lists, the images in them and a pose file named by the caller is ever opened.
+//! Not handled: images in other formats, a depth grid that differs from the IR grid.
+
+mod camera;
+mod session;
+
+mod lists;
+mod poses;
+mod sixteen_bit_png;
+mod writer;
+
+pub use camera::{Pacing, ReplayCamera};
+pub use poses::{TimedPose, read_poses};
+pub use writer::{SessionWriter, WriteError};

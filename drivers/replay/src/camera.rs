@@ -1,0 +1,136 @@
+//! The recording as a camera.
+
+use std::{
+    path::{Path, PathBuf},
+    thread,
+    time::{Duration, Instant},
+};
+
+use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image};
+
+use crate::{
+    lists::{self, Moment},
+    session::{self, SessionFile},
+    sixteen_bit_png,
+};
+
+/// How fast a recording is played.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pacing {
+    /// Every call to `grab` returns at once.
+    #[default]
+    AsFastAsPossible,
+    /// `grab` waits until as much time has passed since the first call as passed in the recording.
+    Recorded,
+}
+
+/// A recorded session, played from its start to its end.
+///
+/// `frame_id` counts the moments of the recording from 0; a damaged image costs its moment and keeps its number.
+#[derive(Debug)]
+pub struct ReplayCamera {
+    folder: PathBuf,
+    info: CameraInfo,
+    depth_units_per_metre: f64,
+    moments: Vec<Moment>,
+    next: usize,
+    pacing: Pacing,
+    /// When the first moment that was asked for was played, and its time in the recording.
+    start: Option<(Instant, f64)>,
+}
+
+impl ReplayCamera {
+    /// Opens a session's folder: description and lists are read and checked, images are not.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] naming file, key or line, value and bound.
+    pub fn open(folder: &Path) -> Result<Self, CameraError> {
+        let session_path = folder.join(session::FILE_NAME);
+        let session = SessionFile::read(&session_path)?;
+        let ir_path = folder.join("ir.txt");
+        let with_ir = ir_path.exists();
+        let mut info = session.camera_info(&session_path, with_ir)?;
+
+        let depth_path = folder.join("depth.txt");
+        let depth = lists::read_list(&depth_path)?;
+        if depth.is_empty() {
+            return Err(session::invalid(&depth_path, "holds no frame"));
+        }
+        let ir = match with_ir {
+            true => lists::read_list(&ir_path)?,
+            false => Vec::new(),
+        };
+        let moments = lists::merge(depth, ir);
+        info.n_frames = Some(moments.len());
+        Ok(ReplayCamera {
+            folder: folder.to_owned(),
+            info,
+            depth_units_per_metre: session.depth_units_per_metre,
+            moments,
+            next: 0,
+            pacing: Pacing::default(),
+            start: None,
+        })
+    }
+
+    /// The same recording at another pace.
+    pub fn with_pacing(self, pacing: Pacing) -> Self {
+        ReplayCamera { pacing, ..self }
+    }
+
+    /// Sleeps until the recorded offset of a moment has passed, but for `timeout` at most.
+    fn wait_until_due(&mut self, time_secs: f64, timeout: Duration) -> Result<(), CameraError> {
+        let (start, first_secs) = *self.start.get_or_insert((Instant::now(), time_secs));
+        // A gap too long for the clock is waited for one timeout after the other.
+        let offset = Duration::try_from_secs_f64(time_secs - first_secs).unwrap_or(Duration::MAX);
+        let remaining = offset.saturating_sub(start.elapsed());
+        thread::sleep(remaining.min(timeout));
+        if remaining > timeout {
+            return Err(CameraError::Timeout { waited: timeout });
+        }
+        Ok(())
+    }
+
+    /// Decodes an image of the recording; an error names the file.
+    fn read_image(&self, file_name: &str) -> Result<Image<u16>, String> {
+        let path = self.folder.join(file_name);
+        let i = &self.info.intrinsics;
+        sixteen_bit_png::read(&path, i.width, i.height)
+            .map_err(|what| format!("{}: {what}", path.display()))
+    }
+
+    /// Decodes the images of a moment, depth into metres.
+    fn decode(&self, frame_id: u64, moment: &Moment) -> Result<Frame, String> {
+        let units = self.depth_units_per_metre;
+        let metres = |&value: &u16| (f64::from(value) / units) as f32;
+        let depth = moment.depth.as_deref().map(|name| self.read_image(name));
+        let ir = moment.ir.as_deref().map(|name| self.read_image(name));
+        Ok(Frame {
+            frame_id,
+            device_time_secs: moment.time_secs,
+            depth: depth.transpose()?.map(|image| image.map(metres)),
+            ir: ir.transpose()?,
+            host_time: Instant::now(),
+        })
+    }
+}
+
+impl DepthCamera for ReplayCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+
+    fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        let Some(moment) = self.moments.get(self.next).cloned() else {
+            return Ok(None);
+        };
+        if self.pacing == Pacing::Recorded {
+            self.wait_until_due(moment.time_secs, timeout)?;
+        }
+        let frame_id = self.next as u64;
+        self.next += 1;
+        self.decode(frame_id, &moment)
+            .map(Some)
+            .map_err(|reason| CameraError::DamagedFrame { frame_id, reason })
+    }
+}

@@ -1,0 +1,56 @@
+//! 16-bit greyscale PNG, checked against the size that the camera promises.
+
+use std::{
+    fs,
+    io::{Cursor, Write},
+    path::Path,
+};
+
+use depth_camera::Image;
+use png::{BitDepth, ColorType, Compression, Decoder, Encoder, EncodingError, Filter};
+
+/// Reads an image of exactly `width` × `height`; the error says what was found.
+pub(crate) fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16>, String> {
+    let file = fs::read(path).map_err(|error| error.to_string())?;
+    let mut reader = Decoder::new(Cursor::new(file))
+        .read_info()
+        .map_err(|error| format!("not a PNG image: {error}"))?;
+    let header = reader.info();
+    if (header.width as usize, header.height as usize) != (width, height) {
+        return Err(format!(
+            "{}×{} pixels, expected {width}×{height}",
+            header.width, header.height
+        ));
+    }
+    if (header.color_type, header.bit_depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
+        return Err(format!(
+            "{}-bit {:?}, expected 16-bit Grayscale",
+            header.bit_depth as u8, header.color_type
+        ));
+    }
+    let mut bytes = vec![0; 2 * width * height];
+    reader
+        .next_frame(&mut bytes)
+        .map_err(|error| format!("damaged PNG image: {error}"))?;
+    let values = bytes.chunks_exact(2);
+    let values = values.map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+    Ok(Image::from_vec(width, height, values.collect()))
+}
+
+/// Writes an image as a complete PNG file to `out`.
+pub(crate) fn write(out: impl Write, image: &Image<u16>) -> Result<(), EncodingError> {
+    let (width, height) = (image.width() as u32, image.height() as u32);
+    let mut encoder = Encoder::new(out, width, height);
+    encoder.set_color(ColorType::Grayscale);
+    encoder.set_depth(BitDepth::Sixteen);
+    encoder.set_compression(Compression::Balanced);
+    encoder.set_filter(Filter::Adaptive);
+    let bytes: Vec<u8> = image
+        .data()
+        .iter()
+        .flat_map(|value| value.to_be_bytes())
+        .collect();
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(&bytes)?;
+    writer.finish()
+}

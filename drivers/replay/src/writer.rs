@@ -1,0 +1,292 @@
+//! Writes a session folder that [`crate::ReplayCamera`] reads.
+
+use std::{
+    fs::{self, File, OpenOptions},
+    io::{self, BufWriter, Write},
+    path::{Path, PathBuf},
+};
+
+use depth_camera::{CameraError, CameraInfo, Frame, Image};
+use png::EncodingError;
+
+use crate::{
+    session::{self, SessionFile},
+    sixteen_bit_png,
+};
+
+/// Why a recording could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The system refused: no space, no permission, no such folder.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder that could not be written.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The folder holds something already.
+    #[error("{} is not empty, a recording goes into a new or an empty folder", .0.display())]
+    NotEmpty(PathBuf),
+    /// The camera's description would not be read again.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// A frame that does not belong into this recording; nothing of it was written.
+    #[error("frame {frame_id} cannot be recorded: {reason}")]
+    Frame {
+        /// The frame that was refused.
+        frame_id: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// A recording being written.
+///
+/// Folder and lists are complete after every call: each image is written beside its name and renamed, and only then entered
+/// in its list, so that a process that is killed loses its last frame at most. Loss of power is not guarded against before
+/// [`SessionWriter::finish`]. After an error the next frame may be written.
+#[derive(Debug)]
+pub struct SessionWriter {
+    folder: PathBuf,
+    info: CameraInfo,
+    depth_units_per_metre: f64,
+    depth_list: ListFile,
+    /// There if the camera delivers IR.
+    ir_list: Option<ListFile>,
+    n_frames: usize,
+    /// Time of the last frame as it stands in the list.
+    last_time_micros: Option<i64>,
+}
+
+impl SessionWriter {
+    /// Begins a recording in `folder`, which is created and must be empty otherwise; its name becomes the session's.
+    ///
+    /// Depth is stored in steps of 1 / `depth_units_per_metre` metres, up to 65535 of them.
+    ///
+    /// # Errors
+    /// [`WriteError::NotEmpty`], [`WriteError::Io`], or [`WriteError::Camera`] for a description that makes no sense.
+    pub fn create(
+        folder: &Path,
+        info: &CameraInfo,
+        depth_units_per_metre: f64,
+    ) -> Result<Self, WriteError> {
+        let name = folder.file_name().map(|name| name.to_string_lossy());
+        let name = name.as_deref().unwrap_or("session");
+        let session = SessionFile::of_camera(name, info, depth_units_per_metre);
+        let session_path = folder.join(session::FILE_NAME);
+        let with_ir = info.ir_full_scale.is_some() || info.light.is_some();
+        session.camera_info(&session_path, with_ir)?;
+        let session = toml::to_string(&session).map_err(|error| {
+            CameraError::Invalid(format!("{}: {error}", session_path.display()))
+        })?;
+
+        create_empty_folder(folder)?;
+        create_folder(&folder.join("depth"))?;
+        if with_ir {
+            create_folder(&folder.join("ir"))?;
+        }
+        write_whole_file(&session_path, |out| out.write_all(session.as_bytes()))?;
+        let depth_list = ListFile::create(folder.join("depth.txt"))?;
+        let ir_list = match with_ir {
+            true => Some(ListFile::create(folder.join("ir.txt"))?),
+            false => None,
+        };
+        Ok(SessionWriter {
+            folder: folder.to_owned(),
+            info: info.clone(),
+            depth_units_per_metre,
+            depth_list,
+            ir_list,
+            n_frames: 0,
+            last_time_micros: None,
+        })
+    }
+
+    /// Appends one frame; depth beyond the range of 16 bits, negative or not finite is stored as no measurement.
+    ///
+    /// # Errors
+    /// [`WriteError::Frame`] for a frame of the wrong size, out of order, without an image, or with IR from a camera
+    /// said to have none; [`WriteError::Io`].
+    pub fn write(&mut self, frame: &Frame) -> Result<(), WriteError> {
+        let time_micros = self.check(frame).map_err(|reason| WriteError::Frame {
+            frame_id: frame.frame_id,
+            reason,
+        })?;
+        let depth_name = format!("depth/{:05}.png", self.n_frames);
+        let ir_name = format!("ir/{:05}.png", self.n_frames);
+        if let Some(depth) = &frame.depth {
+            let units = depth.map(|&metres| depth_units(metres, self.depth_units_per_metre));
+            write_png(&self.folder.join(&depth_name), &units)?;
+        }
+        if let Some(ir) = &frame.ir {
+            write_png(&self.folder.join(&ir_name), ir)?;
+        }
+
+        // Numbers and times are used up even if the lists are not written: a second try never meets half a first one.
+        self.n_frames += 1;
+        self.last_time_micros = Some(time_micros);
+        let time_secs = frame.device_time_secs;
+        if frame.depth.is_some() {
+            self.depth_list.append(time_secs, &depth_name)?;
+        }
+        if let (Some(_), Some(list)) = (&frame.ir, &mut self.ir_list) {
+            list.append(time_secs, &ir_name)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the recording: hands the lists to the disk and returns how many frames there are.
+    ///
+    /// # Errors
+    /// [`WriteError::Io`].
+    pub fn finish(self) -> Result<usize, WriteError> {
+        for list in [Some(&self.depth_list), self.ir_list.as_ref()]
+            .into_iter()
+            .flatten()
+        {
+            list.file.sync_all().map_err(io_error(&list.path))?;
+        }
+        Ok(self.n_frames)
+    }
+
+    /// Whether the frame fits the recording; its time in microseconds, the resolution of the lists.
+    fn check(&self, frame: &Frame) -> Result<i64, String> {
+        let i = &self.info.intrinsics;
+        let sizes = [
+            ("depth", frame.depth.as_ref().map(size)),
+            ("IR", frame.ir.as_ref().map(size)),
+        ];
+        for (what, size) in sizes {
+            let Some((width, height)) = size else {
+                continue;
+            };
+            if (width, height) != (i.width, i.height) {
+                return Err(format!(
+                    "{what} is {width}×{height}, must be {}×{}",
+                    i.width, i.height
+                ));
+            }
+        }
+        if frame.depth.is_none() && frame.ir.is_none() {
+            return Err("it holds no image".to_owned());
+        }
+        if frame.ir.is_some() && self.ir_list.is_none() {
+            return Err("it holds IR, but the camera has neither scale nor light".to_owned());
+        }
+        let time_secs = frame.device_time_secs;
+        if !time_secs.is_finite() {
+            return Err(format!("its time is {time_secs} s, must be finite"));
+        }
+        let time_micros = (time_secs * 1e6).round() as i64;
+        match self.last_time_micros {
+            Some(last) if time_micros <= last => Err(format!(
+                "its time {time_secs:.6} s follows {:.6} s, must be later",
+                last as f64 * 1e-6
+            )),
+            _ => Ok(time_micros),
+        }
+    }
+}
+
+/// A list that only ever grows by whole lines.
+#[derive(Debug)]
+struct ListFile {
+    path: PathBuf,
+    file: File,
+    length: u64,
+}
+
+impl ListFile {
+    fn create(path: PathBuf) -> Result<Self, WriteError> {
+        let file = OpenOptions::new()
+            .append(true)
+            .create_new(true)
+            .open(&path)
+            .map_err(io_error(&path))?;
+        let mut list = ListFile {
+            path,
+            file,
+            length: 0,
+        };
+        list.append_line("# timestamp filename\n")?;
+        Ok(list)
+    }
+
+    fn append(&mut self, time_secs: f64, file_name: &str) -> Result<(), WriteError> {
+        self.append_line(&format!("{time_secs:.6} {file_name}\n"))
+    }
+
+    /// Takes back what was written of a line that did not fit on the disk.
+    fn append_line(&mut self, line: &str) -> Result<(), WriteError> {
+        if let Err(source) = self.file.write_all(line.as_bytes()) {
+            // Shortening needs no space; if even that fails, the first error is the one to report.
+            let _ = self.file.set_len(self.length);
+            return Err(io_error(&self.path)(source));
+        }
+        self.length += line.len() as u64;
+        Ok(())
+    }
+}
+
+/// Depth in the units of the recording.
+fn depth_units(metres: f32, units_per_metre: f64) -> u16 {
+    let units = (f64::from(metres) * units_per_metre).round();
+    if (1.0..=f64::from(u16::MAX)).contains(&units) {
+        units as u16
+    } else {
+        0
+    }
+}
+
+fn size<T>(image: &Image<T>) -> (usize, usize) {
+    (image.width(), image.height())
+}
+
+fn io_error(path: &Path) -> impl Fn(io::Error) -> WriteError + '_ {
+    move |source| WriteError::Io {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+fn create_empty_folder(folder: &Path) -> Result<(), WriteError> {
+    create_folder(folder)?;
+    let mut entries = fs::read_dir(folder).map_err(io_error(folder))?;
+    match entries.next() {
+        Some(_) => Err(WriteError::NotEmpty(folder.to_owned())),
+        None => Ok(()),
+    }
+}
+
+fn create_folder(folder: &Path) -> Result<(), WriteError> {
+    fs::create_dir_all(folder).map_err(io_error(folder))
+}
+
+fn write_png(path: &Path, image: &Image<u16>) -> Result<(), WriteError> {
+    write_whole_file(path, |out| {
+        sixteen_bit_png::write(out, image).map_err(|error| match error {
+            EncodingError::IoError(error) => error,
+            other => io::Error::other(other),
+        })
+    })
+}
+
+/// Writes a file under a temporary name and renames it, so that it is there whole or not at all.
+fn write_whole_file(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), WriteError> {
+    let partial = path.with_extension("partial");
+    let result = File::create(&partial).and_then(|file| {
+        let mut out = BufWriter::new(file);
+        write(&mut out)?;
+        out.flush()?;
+        fs::rename(&partial, path)
+    });
+    if result.is_err() {
+        // What is left of it is of no use; the error to report is the first one.
+        let _ = fs::remove_file(&partial);
+    }
+    result.map_err(io_error(path))
+}
