@@ -1,47 +1,216 @@
-//! Global albedo, Eq. (2), as the ratio of sums `Σ w s I / Σ w s²` with `s = gain (n·l)/d²`: the mean of ratios that the
-//! paper prints is biased by grazing samples.
+//! Albedo: of each facet, Eq. (3), of the whole surface, Eq. (2), or of groups of facets that share one material.
+//!
+//! All are ratios of sums, `Σ w s I / Σ w s²` with `s = gain (n·l)/d²`; the mean of ratios that the paper prints is biased
+//! by grazing samples. Groups are the components of a mixture of Gaussians on log albedo whose number the Bayesian information
+//! criterion chooses, each facet given to the component that it and its neighbours like best (a Potts model, by iterated
+//! conditional modes).
 
 use super::energy::{Tukey, unit_normal, views_of};
+use super::mixture::Mixture;
+use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
-use nalgebra::Point3;
 use rayon::prelude::*;
 
-/// The surface's one albedo, times the light's strength, m²; robust weights are taken at `current`, if there is one.
-pub fn global_albedo(
+/// Numerator and denominator of a ratio of sums.
+type Ratio = (f64, f64);
+
+/// Albedo times the light's strength, m², by facet and by group.
+#[derive(Clone, Debug)]
+pub struct Albedo {
+    /// Albedo of each facet: that of its group.
+    pub by_face: Vec<f64>,
+    /// Group of each facet.
+    pub labels: Vec<u8>,
+    /// Albedo of each group, ascending.
+    pub groups: Vec<f64>,
+}
+
+/// Most groups.
+const MAX_GROUPS: usize = 4;
+/// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
+const MIN_LOG_SIGMA: f64 = 0.06;
+/// Cost of each neighbour in another group, in units of the mixture's negative log likelihood.
+const POTTS: f64 = 1.5;
+
+impl Albedo {
+    /// Estimates groups and their albedos; `current` gives the residuals whose outliers do not count. `None` where no facet
+    /// is seen.
+    pub fn estimate(
+        mesh: &TriMesh,
+        neighbours: &[[u32; 3]],
+        sites: &Sites,
+        views: &[View],
+        current: Option<(&Albedo, Tukey)>,
+    ) -> Option<Albedo> {
+        let ratios = ratios(mesh, sites, views, current);
+        let logs: Vec<f64> = ratios.iter().map(|ratio| log_albedo(*ratio)).collect();
+        let mixture = Mixture::fit(&logs, MAX_GROUPS, MIN_LOG_SIGMA)?;
+        let labels = smooth_labels(&logs, neighbours, &mixture);
+        Some(Self::of_labels(labels, mixture.len(), &ratios))
+    }
+
+    /// The albedos of given groups: Eq. (2) within each.
+    fn of_labels(labels: Vec<u8>, n_groups: usize, ratios: &[Ratio]) -> Albedo {
+        let mut sums = vec![(0.0, 0.0); n_groups];
+        for (&label, ratio) in labels.iter().zip(ratios) {
+            let sum: &mut Ratio = &mut sums[label as usize];
+            *sum = (sum.0 + ratio.0, sum.1 + ratio.1);
+        }
+        let (n, d) = ratios
+            .iter()
+            .fold((0.0, 0.0), |(n, d), ratio| (n + ratio.0, d + ratio.1));
+        let overall = n / d;
+        let groups: Vec<f64> = sums
+            .iter()
+            .map(|&(n, d)| if d > 0.0 { n / d } else { overall })
+            .collect();
+        let by_face = labels.iter().map(|&label| groups[label as usize]).collect();
+        Albedo {
+            by_face,
+            labels,
+            groups,
+        }
+    }
+
+    /// All albedos multiplied by a factor.
+    pub fn scaled(mut self, factor: f64) -> Albedo {
+        self.by_face
+            .iter_mut()
+            .chain(&mut self.groups)
+            .for_each(|albedo| *albedo *= factor);
+        self
+    }
+
+    /// Mean albedo of the facets round each vertex.
+    pub fn by_vertex(&self, mesh: &TriMesh) -> Vec<f64> {
+        let mut sums = vec![(0.0, 0u32); mesh.vertices.len()];
+        for (face, &albedo) in mesh.faces.iter().zip(&self.by_face) {
+            for &vertex in face {
+                let (sum, n) = sums[vertex as usize];
+                sums[vertex as usize] = (sum + albedo, n + 1);
+            }
+        }
+        sums.into_iter()
+            .map(|(sum, n)| sum / n.max(1) as f64)
+            .collect()
+    }
+
+    /// Share of the facets in each group.
+    pub fn shares(&self) -> Vec<f64> {
+        let mut counts = vec![0usize; self.groups.len()];
+        self.labels
+            .iter()
+            .for_each(|&label| counts[label as usize] += 1);
+        counts
+            .into_iter()
+            .map(|count| count as f64 / self.labels.len().max(1) as f64)
+            .collect()
+    }
+}
+
+fn log_albedo((numerator, denominator): Ratio) -> f64 {
+    if numerator > 0.0 && denominator > 0.0 {
+        (numerator / denominator).ln()
+    } else {
+        f64::NAN
+    }
+}
+
+/// The sums of each facet over the views that see it.
+fn ratios(
     mesh: &TriMesh,
-    sites: &[Point3<f64>],
-    visible: &[u64],
+    sites: &Sites,
     views: &[View],
-    current: Option<(f64, Tukey)>,
-) -> Option<f64> {
-    const TILE: usize = 2048;
-    let sums: Vec<(f64, f64)> = (0..mesh.faces.len().div_ceil(TILE))
+    current: Option<(&Albedo, Tukey)>,
+) -> Vec<Ratio> {
+    (0..mesh.faces.len())
         .into_par_iter()
-        .map(|tile| {
-            let (mut numerator, mut denominator) = (0.0, 0.0);
-            for face in tile * TILE..((tile + 1) * TILE).min(mesh.faces.len()) {
-                let Some((normal, _)) = unit_normal(mesh, face) else {
+        .map(|face| {
+            let Some((normal, _)) = unit_normal(mesh, face) else {
+                return (0.0, 0.0);
+            };
+            let mut sums = (0.0, 0.0);
+            for view in views_of(sites.visible[face], views) {
+                let Some(sample) = view.sample(&sites.points[face], &normal) else {
                     continue;
                 };
-                for view in views_of(visible[face], views) {
-                    let Some(sample) = view.sample(&sites[face], &normal) else {
-                        continue;
-                    };
-                    let s = sample.unit_prediction;
-                    let robust = current.map_or(1.0, |(albedo, loss)| {
-                        loss.weight((sample.observed - albedo * s) / sample.sigma)
-                    });
-                    let weight = robust / (sample.sigma * sample.sigma);
-                    numerator += weight * s * sample.observed;
-                    denominator += weight * s * s;
-                }
+                let s = sample.unit_prediction;
+                let robust = current.map_or(1.0, |(albedo, loss)| {
+                    // An outlier to its group may belong to another: it keeps a small say in where it goes.
+                    let residual = (sample.observed - albedo.by_face[face] * s) / sample.sigma;
+                    loss.weight(residual).max(1e-3 / (loss.scale * loss.scale))
+                });
+                let weight = robust / (sample.sigma * sample.sigma);
+                sums = (
+                    sums.0 + weight * s * sample.observed,
+                    sums.1 + weight * s * s,
+                );
             }
-            (numerator, denominator)
+            sums
         })
+        .collect()
+}
+
+/// Iterated conditional modes of the Potts model, in order of the facets; facets that nobody sees follow their neighbours.
+fn smooth_labels(logs: &[f64], neighbours: &[[u32; 3]], mixture: &Mixture) -> Vec<u8> {
+    const SWEEPS: usize = 12;
+    let best = |costs: &dyn Fn(usize) -> f64| {
+        (0..mixture.len())
+            .min_by(|&a, &b| costs(a).total_cmp(&costs(b)))
+            .unwrap_or(0) as u8
+    };
+    let own = |face: usize, group: usize| {
+        if logs[face].is_nan() {
+            0.0
+        } else {
+            mixture.cost(group, logs[face])
+        }
+    };
+    let mut labels: Vec<u8> = (0..logs.len())
+        .map(|face| best(&|group| own(face, group)))
         .collect();
-    let (numerator, denominator) = sums
+    for _ in 0..SWEEPS {
+        let mut n_changed = 0;
+        for face in 0..logs.len() {
+            let label = best(&|group| {
+                let others = neighbours[face]
+                    .iter()
+                    .filter(|&&other| other != u32::MAX && labels[other as usize] as usize != group)
+                    .count();
+                own(face, group) + POTTS * others as f64
+            });
+            n_changed += usize::from(label != labels[face]);
+            labels[face] = label;
+        }
+        if n_changed == 0 {
+            break;
+        }
+    }
+    labels
+}
+
+/// The faces across the sides of each face; `u32::MAX` on a border. `sides` gives each face's edges.
+pub fn face_neighbours(sides: &[[u32; 3]], n_edges: usize) -> Vec<[u32; 3]> {
+    let mut first = vec![[u32::MAX; 2]; n_edges];
+    for (face, edges) in sides.iter().enumerate() {
+        for &edge in edges {
+            let slot = &mut first[edge as usize];
+            if slot[0] == u32::MAX {
+                slot[0] = face as u32;
+            } else {
+                slot[1] = face as u32;
+            }
+        }
+    }
+    sides
         .iter()
-        .fold((0.0, 0.0), |(n, d), (a, b)| (n + a, d + b));
-    (denominator > 0.0 && numerator > 0.0).then(|| numerator / denominator)
+        .enumerate()
+        .map(|(face, edges)| {
+            edges.map(|edge| {
+                let [a, b] = first[edge as usize];
+                if a == face as u32 { b } else { a }
+            })
+        })
+        .collect()
 }

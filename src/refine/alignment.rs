@@ -120,7 +120,7 @@ fn row(
     let (light, n) = (view.light_camera(), &sample.normal_camera);
     let prediction = albedo * sample.unit_prediction;
     let to_light = light - sample.point_camera;
-    let scale = view.gain * albedo;
+    let scale = sample.gain * albedo;
     let by_normal = -to_light * (scale / to_light.norm().powi(3));
     let by_point =
         view.image_gradient(&sample)? - falloff_by_point(&sample.point_camera, n, light) * scale;

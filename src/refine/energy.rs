@@ -5,6 +5,8 @@
 //! for `N = (b − a) × (c − a)`, and `∂n = (I − n nᵀ)/|N| ∂N`. All views of a site share that pattern and are summed into
 //! one 3×3 block. Sums run over fixed tiles, in order.
 
+use super::couplings::Couplings;
+use super::patches::Patch;
 use super::view::View;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -13,8 +15,10 @@ use rayon::prelude::*;
 /// Weights of the priors, in units of the surface.
 #[derive(Clone, Copy, Debug)]
 pub struct PriorWeights {
-    /// Of a squared displacement, per m² (of displacement) and vertex: Eq. (8).
+    /// Of a patch's squared mean displacement, per m²: Eq. (8).
     pub anchor: f64,
+    /// Of a vertex's squared displacement, per m²; holds what neither shading nor a patch does.
+    pub rest: f64,
     /// Of a squared difference of displacements along an edge, per m²: Eq. (7).
     pub smoothness: f64,
 }
@@ -44,6 +48,8 @@ pub struct Problem<'a> {
     pub loss: Tukey,
     /// Priors.
     pub priors: PriorWeights,
+    /// Patches whose mean displacement is held.
+    pub patches: &'a [Patch],
     /// Edges of the mesh.
     pub edges: &'a EdgeAdjacency,
 }
@@ -76,9 +82,9 @@ impl Tukey {
 pub struct NormalMatrix {
     /// One entry a vertex.
     pub diagonal: Vec<f64>,
-    /// One entry an edge.
+    /// One entry a coupling.
     pub off_diagonal: Vec<f64>,
-    /// Half the derivative of the energy by each displacement.
+    /// Derivative of the energy by each displacement.
     pub gradient: Vec<f64>,
 }
 
@@ -104,18 +110,25 @@ impl Problem<'_> {
                     .sum()
             })
             .collect();
-        0.5 * data.iter().sum::<f64>() + self.prior_energy(&surface.total_m)
+        data.iter().sum::<f64>() + self.prior_energy(&surface.total_m)
     }
 
     fn prior_energy(&self, total_m: &[f64]) -> f64 {
-        let anchor: f64 = total_m.iter().map(|t| t * t).sum();
+        let rest: f64 = total_m.iter().map(|t| t * t).sum();
+        let anchor: f64 = self
+            .patches
+            .iter()
+            .map(|patch| mean_of(patch, total_m).powi(2))
+            .sum();
         let smoothness: f64 = self
             .edges
             .edges
             .iter()
             .map(|&[i, j]| (total_m[i as usize] - total_m[j as usize]).powi(2))
             .sum();
-        0.5 * (self.priors.anchor * anchor + self.priors.smoothness * smoothness)
+        0.5 * (self.priors.rest * rest
+            + self.priors.anchor * anchor
+            + self.priors.smoothness * smoothness)
     }
 
     fn face_energy(&self, mesh: &TriMesh, face: usize) -> f64 {
@@ -132,43 +145,67 @@ impl Problem<'_> {
             let weight = view
                 .pixels_covered(&self.sites[face], &normal, area)
                 .min(1.0);
-            energy += 2.0 * weight * self.loss.loss(residual);
+            energy += weight * self.loss.loss(residual);
         }
         energy
     }
 
     /// Gauss-Newton normal equations about the surface, robust weights held.
-    pub fn linearise(&self, surface: &Surface, face_edges: &[[u32; 3]]) -> NormalMatrix {
+    pub fn linearise(&self, surface: &Surface, couplings: &Couplings) -> NormalMatrix {
         let blocks: Vec<FaceBlock> = (0..surface.mesh.faces.len())
             .into_par_iter()
             .with_min_len(TILE)
             .map(|face| self.face_block(surface, face))
             .collect();
-        let n = surface.mesh.vertices.len();
-        let mut matrix = NormalMatrix {
-            diagonal: vec![self.priors.anchor; n],
-            off_diagonal: vec![0.0; self.edges.edges.len()],
-            gradient: surface
-                .total_m
-                .iter()
-                .map(|t| self.priors.anchor * t)
-                .collect(),
-        };
-        for (edge, &[i, j]) in self.edges.edges.iter().enumerate() {
-            let (i, j) = (i as usize, j as usize);
-            let slope = self.priors.smoothness * (surface.total_m[i] - surface.total_m[j]);
-            matrix.diagonal[i] += self.priors.smoothness;
-            matrix.diagonal[j] += self.priors.smoothness;
-            matrix.off_diagonal[edge] -= self.priors.smoothness;
-            matrix.gradient[i] += slope;
-            matrix.gradient[j] -= slope;
-        }
-        for ((face, block), edges) in surface.mesh.faces.iter().zip(&blocks).zip(face_edges) {
+        let mut matrix = self.prior_matrix(&surface.total_m, couplings);
+        for ((face, block), sides) in surface
+            .mesh
+            .faces
+            .iter()
+            .zip(&blocks)
+            .zip(&couplings.of_faces)
+        {
             for corner in 0..3 {
                 matrix.diagonal[face[corner] as usize] += block.jtj[(corner, corner)];
                 matrix.gradient[face[corner] as usize] += block.jtr[corner];
-                matrix.off_diagonal[edges[corner] as usize] +=
+                matrix.off_diagonal[sides[corner] as usize] +=
                     block.jtj[(corner, (corner + 1) % 3)];
+            }
+        }
+        matrix
+    }
+
+    /// Eq. (7) and (8).
+    fn prior_matrix(&self, total_m: &[f64], couplings: &Couplings) -> NormalMatrix {
+        let PriorWeights {
+            anchor,
+            rest,
+            smoothness,
+        } = self.priors;
+        let mut matrix = NormalMatrix {
+            diagonal: vec![rest; total_m.len()],
+            off_diagonal: vec![0.0; couplings.pairs.len()],
+            gradient: total_m.iter().map(|t| rest * t).collect(),
+        };
+        for (&[i, j], &entry) in self.edges.edges.iter().zip(&couplings.of_edges) {
+            let (i, j) = (i as usize, j as usize);
+            let slope = smoothness * (total_m[i] - total_m[j]);
+            matrix.diagonal[i] += smoothness;
+            matrix.diagonal[j] += smoothness;
+            matrix.off_diagonal[entry as usize] -= smoothness;
+            matrix.gradient[i] += slope;
+            matrix.gradient[j] -= slope;
+        }
+        for (patch, entries) in self.patches.iter().zip(&couplings.of_patches) {
+            let share = 1.0 / patch.len() as f64;
+            let pull = anchor * share * mean_of(patch, total_m);
+            let stiffness = anchor * share * share;
+            for &vertex in patch {
+                matrix.diagonal[vertex as usize] += stiffness;
+                matrix.gradient[vertex as usize] += pull;
+            }
+            for &entry in entries {
+                matrix.off_diagonal[entry as usize] += stiffness;
             }
         }
         matrix
@@ -233,21 +270,13 @@ fn normal_by_displacement(
     })
 }
 
-/// For each face the edges from corner 0 to 1, 1 to 2 and 2 to 0, as indices of `edges`.
-pub fn face_edges(mesh: &TriMesh, edges: &EdgeAdjacency) -> Vec<[u32; 3]> {
-    mesh.faces
-        .par_iter()
-        .map(|face| {
-            std::array::from_fn(|corner| {
-                let (p, q) = (face[corner], face[(corner + 1) % 3]);
-                let key = [p.min(q), p.max(q)];
-                edges
-                    .edges
-                    .binary_search(&key)
-                    .expect("every side of a face is an edge") as u32
-            })
-        })
-        .collect()
+/// Mean displacement of a patch, metres.
+fn mean_of(patch: &Patch, total_m: &[f64]) -> f64 {
+    patch
+        .iter()
+        .map(|&vertex| total_m[vertex as usize])
+        .sum::<f64>()
+        / patch.len() as f64
 }
 
 impl Surface {

@@ -1,7 +1,7 @@
 //! Levenberg–Marquardt on the robust energy with a sparse Cholesky factorisation whose analysis is made once a mesh.
 
-use super::energy::{NormalMatrix, Problem, Surface, face_edges};
-use crate::geometry::EdgeAdjacency;
+use super::couplings::Couplings;
+use super::energy::{NormalMatrix, Problem, Surface};
 use faer::Side;
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
@@ -41,39 +41,41 @@ pub struct Iteration {
 
 /// The sparsity pattern of a mesh's normal matrix, analysed once.
 pub struct Pattern {
+    couplings: Couplings,
     column_starts: Vec<usize>,
     row_indices: Vec<usize>,
     symbolic: SymbolicLlt<usize>,
-    face_edges: Vec<[u32; 3]>,
 }
 
 impl Pattern {
     /// Analyses the pattern; `None` where memory does not suffice.
-    pub fn new(surface: &Surface, edges: &EdgeAdjacency) -> Option<Pattern> {
-        let n = surface.mesh.vertices.len();
-        let mut column_starts = Vec::with_capacity(n + 1);
-        let mut row_indices = Vec::with_capacity(n + edges.edges.len());
-        let mut edge = 0;
-        for vertex in 0..n {
+    pub fn new(n_vertices: usize, couplings: Couplings) -> Option<Pattern> {
+        let mut column_starts = Vec::with_capacity(n_vertices + 1);
+        let mut row_indices = Vec::with_capacity(n_vertices + couplings.pairs.len());
+        let mut pairs = couplings.pairs.iter().peekable();
+        for vertex in 0..n_vertices {
             column_starts.push(row_indices.len());
             row_indices.push(vertex);
-            while edge < edges.edges.len() && edges.edges[edge][0] as usize == vertex {
-                row_indices.push(edges.edges[edge][1] as usize);
-                edge += 1;
+            while let Some(pair) = pairs.next_if(|pair| pair[0] as usize == vertex) {
+                row_indices.push(pair[1] as usize);
             }
         }
         column_starts.push(row_indices.len());
         let symbolic = {
-            let pattern =
-                SymbolicSparseColMatRef::new_checked(n, n, &column_starts, None, &row_indices);
+            let pattern = SymbolicSparseColMatRef::new_checked(
+                n_vertices,
+                n_vertices,
+                &column_starts,
+                None,
+                &row_indices,
+            );
             SymbolicLlt::try_new(pattern, Side::Lower).ok()?
         };
-        let face_edges = face_edges(&surface.mesh, edges);
         Some(Pattern {
+            couplings,
             column_starts,
             row_indices,
             symbolic,
-            face_edges,
         })
     }
 
@@ -127,7 +129,7 @@ pub fn minimise(
     let mut energy = problem.energy(surface);
     let mut damping = 1e-4;
     for _ in 0..params.max_steps {
-        let matrix = problem.linearise(surface, &pattern.face_edges);
+        let matrix = problem.linearise(surface, &pattern.couplings);
         let (next, next_energy, max_step_m) = loop {
             let Some(mut step) = pattern.solve(&matrix, damping) else {
                 return RefineStatus::Singular;

@@ -1,11 +1,13 @@
 //! One shading image made ready for the solver: linear intensities, what hides the object from camera and light, and the
 //! residual of Eq. (6) with its derivatives.
 
+use super::gain_field::GainField;
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, rasterise};
-use crate::shading::{Calibration, LinearImage, falloff, falloff_by_point, linearise};
+use crate::shading::{Calibration, LinearImage, falloff, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// What all views of one camera share.
 pub struct Optics<'a> {
@@ -17,6 +19,42 @@ pub struct Optics<'a> {
     pub full_scale: f64,
     /// Response, flat field and noise.
     pub calibration: &'a Calibration,
+}
+
+/// What all views of one refinement share.
+pub struct ViewContext<'a> {
+    /// The whole base mesh, which hides the object from camera and light.
+    pub scene: &'a TriMesh,
+    /// Centre of the object, world frame.
+    pub centre: Point3<f64>,
+    /// Camera, light and response.
+    pub optics: &'a Optics<'a>,
+    /// How far Eq. (1) is believed.
+    pub trust: &'a ImageTrust,
+}
+
+/// What a pixel's noise is not: how far Eq. (1), the poses and the sampling can be believed.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ImageTrust {
+    /// Standard deviation of the model as a share of the intensity: texture of the albedo, interreflection, lobe.
+    pub model_error: f64,
+    /// Standard deviation of where a site falls on the image, pixels: what alignment leaves and the blur of steps that are
+    /// narrower than a pixel. It makes residuals count less where the image is steep; without it rims of the relief were
+    /// believed, and moved whole surfaces by a millimetre.
+    pub misregistration_px: f64,
+    /// Slow differences of brightness over more than this distance on the object are not taken for shading, metres.
+    pub gain_cell_m: f64,
+}
+
+impl Default for ImageTrust {
+    fn default() -> Self {
+        ImageTrust {
+            model_error: 0.01,
+            misregistration_px: 0.4,
+            gain_cell_m: 0.08,
+        }
+    }
 }
 
 /// A shading image with its pose and gain as far as they are known.
@@ -36,12 +74,13 @@ pub struct View {
     pub camera_from_world: Pose,
     /// Brightness of this view against the others.
     pub gain: f64,
+    /// Slow differences of brightness over this view's image.
+    pub gain_field: GainField,
+    trust: ImageTrust,
 }
 
 /// From this share of full scale a pixel counts as saturated.
 const SATURATION: f64 = 0.985;
-/// Model error as a share of the intensity: interreflection, lobe and albedo texture; adds to the pixel's noise.
-const MODEL_ERROR: f64 = 0.01;
 /// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
 const HIDDEN_BEYOND_M: f64 = 0.004;
 /// Live depth nearer than the model by this much is something in front of it, metres.
@@ -58,8 +97,6 @@ pub struct Residual {
     pub value: f64,
     /// Derivative by the unit normal (world).
     pub by_normal: Vector3<f64>,
-    /// Derivative by the point (world), per metre: falloff and image gradient together.
-    pub by_point: Vector3<f64>,
 }
 
 /// What a site looks like in a view.
@@ -71,7 +108,11 @@ pub struct Sample {
     pub gradient: [f64; 2],
     /// Its standard deviation.
     pub sigma: f64,
-    /// `gain · (n·l)/d²`: the prediction for unit albedo.
+    /// Where it was taken, pixels.
+    pub pixel: Vector2<f64>,
+    /// `gain · field` at that pixel.
+    pub gain: f64,
+    /// `gain · field · (n·l)/d²`: the prediction for unit albedo.
     pub unit_prediction: f64,
     /// The point in the camera frame, metres.
     pub point_camera: Point3<f64>,
@@ -80,8 +121,14 @@ pub struct Sample {
 }
 
 impl View {
-    /// Linearises a snapshot and renders what hides the object in it; `scene` is the whole base mesh.
-    pub fn new(snapshot: &ShadingSnapshot, scene: &TriMesh, optics: &Optics) -> View {
+    /// Linearises a snapshot and renders what hides the object in it.
+    pub fn new(snapshot: &ShadingSnapshot, context: &ViewContext) -> View {
+        let ViewContext {
+            scene,
+            centre,
+            optics,
+            trust,
+        } = *context;
         let camera = *optics.rays.camera();
         let camera_from_world = snapshot.world_from_camera.inverse();
         let camera_depth_m = rasterise(scene, &camera, &camera_from_world).depth_m;
@@ -101,6 +148,8 @@ impl View {
             optics.rays,
         );
         mask_edges_and_occluders(&mut linear.value, &camera_depth_m, &snapshot.depth_m);
+        let distance_m = (camera_from_world * centre).z.max(0.1);
+        let cell_px = (trust.gain_cell_m * camera.intrinsics().fx / distance_m).max(4.0);
         View {
             camera,
             light_camera: optics.light_camera,
@@ -111,6 +160,12 @@ impl View {
             tracked_camera_from_world: camera_from_world,
             camera_from_world,
             gain: 1.0,
+            gain_field: GainField::flat(
+                camera.intrinsics().width,
+                camera.intrinsics().height,
+                cell_px,
+            ),
+            trust: trust.clone(),
         }
     }
 
@@ -138,20 +193,26 @@ impl View {
         let normal_camera = self.camera_from_world * normal_world;
         let pixel = self.camera.project(&point_camera)?;
         let (observed, gradient, noise) = self.linear.sample(pixel.x, pixel.y)?;
-        let unit_prediction =
-            self.gain * falloff(&point_camera, &normal_camera, &self.light_camera);
-        let sigma = (noise * noise + (MODEL_ERROR * observed).powi(2)).sqrt();
+        let gain = self.gain * self.gain_field.at(&pixel);
+        let unit_prediction = gain * falloff(&point_camera, &normal_camera, &self.light_camera);
+        let slope = gradient[0].hypot(gradient[1]);
+        let sigma = (noise * noise
+            + (self.trust.model_error * observed).powi(2)
+            + (self.trust.misregistration_px * slope).powi(2))
+        .sqrt();
         (unit_prediction > 0.0).then_some(Sample {
+            pixel,
             observed,
             gradient,
             sigma,
+            gain,
             unit_prediction,
             point_camera,
             normal_camera,
         })
     }
 
-    /// Residual of Eq. (6) at a site, with every derivative.
+    /// Residual of Eq. (6) at a site, with its derivative by the normal.
     pub fn residual(
         &self,
         point: &Point3<f64>,
@@ -160,21 +221,11 @@ impl View {
     ) -> Option<Residual> {
         let sample = self.sample(point, normal)?;
         let inv_sigma = 1.0 / sample.sigma;
-        let scale = -self.gain * albedo * inv_sigma;
         let to_light = self.light_camera - sample.point_camera;
-        let distance = to_light.norm();
-        let by_normal_camera = to_light * (scale / (distance * distance * distance));
-        let by_point_camera = falloff_by_point(
-            &sample.point_camera,
-            &sample.normal_camera,
-            &self.light_camera,
-        ) * scale
-            + self.image_gradient(&sample)? * inv_sigma;
-        let world_from_camera = self.camera_from_world.rotation.inverse();
+        let by_normal = to_light * (-sample.gain * albedo * inv_sigma / to_light.norm().powi(3));
         Some(Residual {
             value: (sample.observed - albedo * sample.unit_prediction) * inv_sigma,
-            by_normal: world_from_camera * by_normal_camera,
-            by_point: world_from_camera * by_point_camera,
+            by_normal: self.camera_from_world.rotation.inverse() * by_normal,
         })
     }
 
@@ -209,7 +260,7 @@ impl View {
         &self,
         point_world: &Point3<f64>,
         camera_from_world: &Pose,
-    ) -> Option<nalgebra::Vector2<f64>> {
+    ) -> Option<Vector2<f64>> {
         self.camera.project(&(camera_from_world * point_world))
     }
 

@@ -1,0 +1,218 @@
+//! A mixture of Gaussians and of outliers spread evenly, on the line, by expectation and maximisation, with as many Gaussians as
+//! the Bayesian information criterion (Schwarz 1978) asks for.
+
+/// Components in ascending order of their means.
+#[derive(Clone, Debug)]
+pub struct Mixture {
+    components: Vec<Component>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Component {
+    share: f64,
+    mean: f64,
+    sigma: f64,
+}
+
+/// Values are grouped into so many bins first: a scan has hundreds of thousands.
+const BINS: usize = 400;
+/// Neighbouring facets go together over about this many; the criterion must not take them for independent.
+const CORRELATED: f64 = 50.0;
+/// Components nearer than this many sigmas are one material.
+const MIN_SEPARATION: f64 = 2.0;
+/// A material's values spread no wider than this, times the smallest deviation; what does is outliers.
+const MAX_SPREAD: f64 = 2.5;
+/// Share of values that belong to no material: rims, shadows, highlights; arbitrary.
+const OUTLIER_SHARE: f64 = 0.1;
+/// Smaller components are outliers: shadow rims and highlights.
+const MIN_SHARE: f64 = 0.03;
+
+impl Mixture {
+    /// Fits 1 to `max_components` components of a standard deviation of at least `min_sigma` and keeps the best count; NaN are
+    /// left out. `None` without any value.
+    pub fn fit(values: &[f64], max_components: usize, min_sigma: f64) -> Option<Mixture> {
+        let histogram = Histogram::new(values)?;
+        let n = histogram.total() / CORRELATED;
+        let single = histogram.maximise(1, min_sigma);
+        let mut best = (single.information(&histogram, n), single);
+        for k in 2..=max_components {
+            let mixture = histogram.maximise(k, min_sigma);
+            let information = mixture.information(&histogram, n);
+            if information < best.0 && mixture.is_separated() {
+                best = (information, mixture);
+            }
+        }
+        Some(best.1)
+    }
+
+    /// Number of components.
+    pub fn len(&self) -> usize {
+        self.components.len()
+    }
+
+    /// Negative log likelihood of a value in a component; grows with the distance, not the square, beyond three sigmas.
+    pub fn cost(&self, component: usize, value: f64) -> f64 {
+        let Component { mean, sigma, .. } = self.components[component];
+        let t = (value - mean).abs() / sigma;
+        let squared = if t < 3.0 { 0.5 * t * t } else { 3.0 * t - 4.5 };
+        squared + sigma.ln()
+    }
+
+    fn is_separated(&self) -> bool {
+        self.components.iter().all(|c| c.share >= MIN_SHARE)
+            && self.components.windows(2).all(|pair| {
+                pair[1].mean - pair[0].mean > MIN_SEPARATION * 0.5 * (pair[0].sigma + pair[1].sigma)
+            })
+    }
+
+    /// The criterion: `parameters · ln n − 2 ln likelihood`, the likelihood scaled to `n` independent values.
+    fn information(&self, histogram: &Histogram, n: f64) -> f64 {
+        let log_likelihood: f64 = histogram
+            .bins()
+            .map(|(value, count)| {
+                let gaussians: f64 = self.components.iter().map(|c| c.density(value)).sum();
+                count * (gaussians + histogram.outliers()).ln()
+            })
+            .sum();
+        let parameters = 3 * self.components.len() - 1;
+        parameters as f64 * n.max(2.0).ln() - 2.0 * log_likelihood * n / histogram.total()
+    }
+}
+
+impl Component {
+    fn density(&self, value: f64) -> f64 {
+        let t = (value - self.mean) / self.sigma;
+        self.share * (-0.5 * t * t).exp() / (self.sigma * (2.0 * std::f64::consts::PI).sqrt())
+    }
+}
+
+struct Histogram {
+    low: f64,
+    width: f64,
+    counts: Vec<f64>,
+}
+
+impl Histogram {
+    /// Counts between the first and the last percentile's neighbourhoods, which outliers cannot stretch.
+    fn new(values: &[f64]) -> Option<Histogram> {
+        let mut sorted: Vec<f64> = values
+            .iter()
+            .copied()
+            .filter(|value| value.is_finite())
+            .collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let last = sorted.len().checked_sub(1)?;
+        let (low, high) = (sorted[last / 100] - 0.2, sorted[last - last / 100] + 0.2);
+        let width = (high - low) / BINS as f64;
+        let mut counts = vec![0.0; BINS];
+        for value in sorted
+            .into_iter()
+            .filter(|value| (low..high).contains(value))
+        {
+            counts[(((value - low) / width) as usize).min(BINS - 1)] += 1.0;
+        }
+        Some(Histogram { low, width, counts })
+    }
+
+    /// Density of the outliers.
+    fn outliers(&self) -> f64 {
+        OUTLIER_SHARE / (self.width * BINS as f64)
+    }
+
+    fn total(&self) -> f64 {
+        self.counts.iter().sum()
+    }
+
+    fn bins(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let centre = |bin: usize| self.low + (bin as f64 + 0.5) * self.width;
+        self.counts
+            .iter()
+            .enumerate()
+            .map(move |(bin, &count)| (centre(bin), count))
+    }
+
+    /// Expectation and maximisation from means spread over the quantiles.
+    fn maximise(&self, k: usize, min_sigma: f64) -> Mixture {
+        let mut components: Vec<Component> = (0..k)
+            .map(|i| Component {
+                share: (1.0 - OUTLIER_SHARE) / k as f64,
+                mean: self.quantile((i as f64 + 0.5) / k as f64),
+                sigma: MAX_SPREAD * min_sigma,
+            })
+            .collect();
+        for _ in 0..100 {
+            let mut sums = vec![(0.0, 0.0, 0.0); k];
+            for (value, count) in self.bins().filter(|(_, count)| *count > 0.0) {
+                let densities: Vec<f64> = components.iter().map(|c| c.density(value)).collect();
+                let total = densities.iter().sum::<f64>() + self.outliers();
+                for (sum, density) in sums.iter_mut().zip(densities) {
+                    let share = count * density / total;
+                    *sum = (
+                        sum.0 + share,
+                        sum.1 + share * value,
+                        sum.2 + share * value * value,
+                    );
+                }
+            }
+            for (component, (n, first, second)) in components.iter_mut().zip(sums) {
+                if n > 0.0 {
+                    let mean = first / n;
+                    let sigma = (second / n - mean * mean).max(0.0).sqrt();
+                    *component = Component {
+                        share: n / self.total() * (1.0 - OUTLIER_SHARE),
+                        mean,
+                        sigma: sigma.clamp(min_sigma, MAX_SPREAD * min_sigma),
+                    };
+                }
+            }
+        }
+        components.sort_by(|a, b| a.mean.total_cmp(&b.mean));
+        Mixture { components }
+    }
+
+    fn quantile(&self, share: f64) -> f64 {
+        let target = share * self.total();
+        let mut sum = 0.0;
+        self.bins()
+            .find(|(_, count)| {
+                sum += count;
+                sum >= target
+            })
+            .map_or(self.low, |(value, _)| value)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Triangular noise of a standard deviation of about 0.08 about each centre, from a golden-ratio sequence.
+    fn around(centres: &[f64], each: usize) -> Vec<f64> {
+        let golden = |i: usize, step: f64| (i as f64 * step).fract() - 0.5;
+        centres
+            .iter()
+            .flat_map(|centre| {
+                (0..each).map(move |i| centre + 0.2 * (golden(i, 0.618_034) + golden(i, 0.754_878)))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn one_material_is_one_component() {
+        let mixture = Mixture::fit(&around(&[-1.8], 40_000), 4, 0.06).expect("values");
+        assert_eq!(mixture.len(), 1);
+    }
+
+    #[test]
+    fn two_materials_are_found_with_their_albedos() {
+        let mixture = Mixture::fit(&around(&[-1.8, -1.0], 40_000), 4, 0.06).expect("values");
+        assert_eq!(mixture.len(), 2);
+        assert!((mixture.components[0].mean + 1.8).abs() < 0.02);
+        assert!((mixture.components[1].mean + 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn nothing_seen_is_no_mixture() {
+        assert!(Mixture::fit(&[f64::NAN; 3], 4, 0.06).is_none());
+    }
+}
