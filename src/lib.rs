@@ -4,6 +4,7 @@
 //! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages.
 #![forbid(unsafe_code)]
 
+pub mod capture;
 pub mod export;
 pub mod fusion;
 pub mod geometry;
