@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 pub mod capture;
+pub mod config;
 pub mod export;
 pub mod fusion;
 pub mod geometry;
