@@ -22,6 +22,10 @@ pub struct Report {
     pub serial: String,
     /// Version of the program.
     pub relief_version: String,
+    /// Where the calibration of the IR image comes from.
+    pub calibration: String,
+    /// Whether the run was stopped before its end.
+    pub stopped_early: bool,
     /// What became of the frames.
     pub frames: FrameCounts,
     /// What became of the camera's path.

@@ -19,6 +19,7 @@ pub(super) fn heading(report: &Report) -> Markup {
             p class="device" {
                 (sensor_name(&report.sensor)) @if !report.serial.is_empty() { " · serial " (report.serial) }
                 " · Relief " (report.relief_version)
+                @if !report.calibration.is_empty() { " · calibration: " (report.calibration) }
             }
             p class="summary" id="summary" { (summary(report)) }
         }
