@@ -6,6 +6,7 @@
 
 pub mod capture;
 pub mod config;
+pub mod control;
 pub mod export;
 pub mod fusion;
 pub mod geometry;
