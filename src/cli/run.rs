@@ -5,7 +5,7 @@ use anyhow::{Context, bail};
 use depth_camera::{DepthCamera, Sensor};
 use relief::{
     config::{self, CalibrationSource, Config, ConfigError},
-    control::{self, EXIT_INTERRUPTED, Progress, Signals},
+    control::{self, EXIT_INTERRUPTED, Progress},
     pipeline::{Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, WhenFull},
 };
 use replay::{Pacing, ReplayCamera, SessionWriter};
@@ -69,7 +69,10 @@ pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict>
     });
     let params = pipeline_params(args, config, &camera)?;
     let folder = OutputFolder::claim(&args.out)?;
-    let outcome = run(Box::new(camera), params, folder, progress)?;
+    let outcome = control::operate(
+        || Pipeline::spawn(Box::new(camera), params, folder),
+        progress,
+    )?;
     match args.json {
         true => summary::print_json(&outcome)?,
         false => summary::print_text(&outcome),
@@ -103,24 +106,6 @@ fn pipeline_params(
             false => WhenFull::Block,
         },
         record: args.record,
-    })
-}
-
-fn run(
-    camera: Box<dyn DepthCamera>,
-    params: PipelineParams,
-    folder: OutputFolder,
-    progress: &Progress,
-) -> anyhow::Result<Outcome> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the control plane")?;
-    runtime.block_on(async {
-        // Before the first thread: a signal from now on finds somebody who listens.
-        let mut signals = Signals::new().context("cannot listen for signals")?;
-        let handle = Pipeline::spawn(camera, params, folder)?;
-        Ok(control::accompany(handle, &mut signals, progress).await?)
     })
 }
 

@@ -1,30 +1,60 @@
 //! The operator's side of a running pipeline: signals in, progress out.
 //!
-//! tokio lives here and in `main`. Handlers look at the pipeline through a [`Watch`] and return at once; the pipeline's own
+//! tokio lives here. Handlers look at the pipeline through a
+//! [`Watch`](crate::pipeline::Watch) and return at once; the pipeline's own
 //! threads never wait for them.
 
 mod progress;
 mod signals;
 
 pub use progress::{Progress, ProgressStyle};
-pub use signals::{EXIT_INTERRUPTED, Signals};
+pub use signals::EXIT_INTERRUPTED;
 
-use crate::pipeline::{Handle, Outcome};
+use crate::pipeline::{Handle, Outcome, SpawnError};
+use signals::Signals;
 use std::{io, time::Duration};
-use tokio::{task, time};
+use tokio::{runtime, task, time};
 
 /// How often progress is shown.
 const REFRESH: Duration = Duration::from_millis(200);
 
-/// Accompanies a pipeline to its end: the first signal stops it in order, the second ends the process at once.
+/// Why a pipeline could not be accompanied to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum ControlError {
+    /// The system refuses what the control plane needs.
+    #[error("cannot listen for signals: {0}")]
+    Signals(#[from] io::Error),
+    /// The pipeline did not start.
+    #[error(transparent)]
+    Spawn(#[from] SpawnError),
+    /// The thread that waits for the pipeline ended by a fault of the program.
+    #[error("the run ended by a fault of the program: {0}")]
+    Join(#[from] task::JoinError),
+}
+
+/// Starts a pipeline and accompanies it to its end: the first signal stops it in order, the second ends the process at once.
 ///
 /// # Errors
-/// If the thread that waits for the pipeline cannot be started or panics.
-pub async fn accompany(
+/// If the pipeline does not start, or the system refuses.
+pub fn operate(
+    start: impl FnOnce() -> Result<Handle, SpawnError>,
+    progress: &Progress,
+) -> Result<Outcome, ControlError> {
+    let runtime = runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    runtime.block_on(async {
+        // Before the first thread starts: from now on a signal finds somebody who listens.
+        let mut signals = Signals::new()?;
+        accompany(start()?, &mut signals, progress).await
+    })
+}
+
+async fn accompany(
     handle: Handle,
     signals: &mut Signals,
     progress: &Progress,
-) -> io::Result<Outcome> {
+) -> Result<Outcome, ControlError> {
     let watch = handle.watch();
     let mut joined = task::spawn_blocking(|| handle.join());
     let mut refresh = time::interval(REFRESH);
@@ -33,7 +63,7 @@ pub async fn accompany(
         tokio::select! {
             outcome = &mut joined => {
                 progress.finish();
-                return outcome.map_err(io::Error::other);
+                return Ok(outcome?);
             }
             name = signals.next() => {
                 if is_stopping {

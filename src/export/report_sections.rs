@@ -49,7 +49,7 @@ fn summary(report: &Report) -> String {
         ),
         Some(refined) => format!(
             "{capture}; {} faces refined from {} shading images. The difference between rendered and observed infrared went \
-             from {} to {} of full scale ({}).",
+             from {} to {} of the mean intensity ({}).",
             count(refined.faces),
             refined.views.len(),
             percent(refined.rmse_before),

@@ -159,7 +159,6 @@ fn refined_mesh(
             n_sites: view.n_sites,
         })
         .collect();
-    let n_sites = views.iter().map(|view| view.n_sites).sum();
     RefinedMesh {
         vertices: mesh.vertices.len(),
         faces: mesh.faces.len(),
@@ -172,9 +171,7 @@ fn refined_mesh(
             .map(|iteration| Iteration {
                 energy_before: iteration.energy_before,
                 energy_after: iteration.energy_after,
-                data_rms_sigma: f64::NAN,
                 max_step_m: iteration.max_step_m,
-                n_residuals: n_sites,
                 damping: iteration.damping,
             })
             .collect(),
