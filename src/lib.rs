@@ -1,12 +1,16 @@
 //! Relief: a hand-held Kinect scan in, a mesh with detail far below the depth sensor's noise out.
 //!
 //! The pipeline reads from top to bottom: [`geometry`] and [`shading`] are what everything is built on, then
-//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages.
+//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages, and `control` knows only `pipeline`.
 #![forbid(unsafe_code)]
 
+pub mod capture;
+pub mod config;
+pub mod control;
 pub mod export;
 pub mod fusion;
 pub mod geometry;
+pub mod pipeline;
 pub mod refine;
 pub mod shading;
 pub mod snapshot;

@@ -22,6 +22,10 @@ pub struct Report {
     pub serial: String,
     /// Version of the program.
     pub relief_version: String,
+    /// Where the calibration of the IR image comes from.
+    pub calibration: String,
+    /// Whether the run was stopped before its end.
+    pub stopped_early: bool,
     /// What became of the frames.
     pub frames: FrameCounts,
     /// What became of the camera's path.
@@ -45,7 +49,7 @@ pub struct Report {
 /// What became of the frames of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
-    /// Frames that the device announced.
+    /// Frames that the device delivered, damaged ones too.
     pub total: u64,
     /// Frames in the model.
     pub fused: u64,
@@ -115,7 +119,8 @@ pub struct RefinedMesh {
     pub edge_length_m: f64,
     /// The materials found, the largest first.
     pub albedo: Vec<AlbedoShare>,
-    /// Difference of rendered and observed IR over all views on the base mesh, root mean square, share of full scale.
+    /// Difference of rendered and observed IR over all views on the base mesh, root mean square, share of the mean observed
+    /// linear intensity.
     pub rmse_before: f64,
     /// The same on the refined mesh.
     pub rmse_after: f64,
@@ -130,12 +135,8 @@ pub struct Iteration {
     pub energy_before: f64,
     /// Robust energy after the step.
     pub energy_after: f64,
-    /// Root mean square of the data residuals, in units of their sigma.
-    pub data_rms_sigma: f64,
     /// Largest displacement of a vertex, metres.
     pub max_step_m: f64,
-    /// Data residuals.
-    pub n_residuals: usize,
     /// Levenberg–Marquardt damping.
     pub damping: f64,
 }
@@ -160,7 +161,8 @@ pub struct RefinedView {
     pub gain: f64,
     /// Shift of the image found by alignment, pixels (u, v).
     pub shift_px: [f64; 2],
-    /// Difference of rendered and observed IR on the base mesh, root mean square, share of full scale.
+    /// Difference of rendered and observed IR on the base mesh, root mean square, share of the mean observed
+    /// linear intensity.
     pub rmse_before: f64,
     /// The same on the refined mesh.
     pub rmse_after: f64,

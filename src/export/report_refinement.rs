@@ -7,7 +7,7 @@ use super::{
 };
 use maud::{Markup, html};
 
-/// How refinement went, iteration by iteration.
+/// How refinement went, step by step.
 pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
     let numbers = || {
         (1..=refined.iterations.len())
@@ -16,7 +16,7 @@ pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
     };
     let energy = Labels {
         y: "Energy, log scale",
-        x: "Outer iteration",
+        x: "Step",
         ticks: numbers(),
     };
     let before = refined.iterations.iter().map(|i| i.energy_before).collect();
@@ -24,16 +24,14 @@ pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
     html! {
         section id="refinement" {
             h2 { "Refinement" }
-            p { "Ended: " strong { (refined.status) } ", after " (refined.iterations.len()) " outer iterations." }
+            p { "Ended: " strong { (refined.status) } ", after " (refined.iterations.len()) " steps." }
             div class="split" {
                 figure class="plot" { (log_lines(&energy, &before_and_after(before, after))) }
                 div class="scroll" { table {
-                    thead { tr { th { "#" } th { "Energy before" } th { "after" } th { "Data rms, σ" } th { "Max. step" }
-                        th { "Residuals" } th { "Damping" } } }
+                    thead { tr { th { "#" } th { "Energy before" } th { "after" } th { "Max. step" } th { "Damping" } } }
                     tbody { @for (k, i) in refined.iterations.iter().enumerate() { tr {
                         th { (k + 1) } td { (compact(i.energy_before)) } td { (compact(i.energy_after)) }
-                        td { (fixed(i.data_rms_sigma, 2)) } td { (length(i.max_step_m)) } td { (count(i.n_residuals)) }
-                        td { (compact(i.damping)) }
+                        td { (length(i.max_step_m)) } td { (compact(i.damping)) }
                     } } }
                 } }
             }
@@ -68,7 +66,7 @@ fn before_and_after(before: Vec<f64>, after: Vec<f64>) -> [Series; 2] {
 pub(super) fn views(refined: &RefinedMesh) -> Markup {
     let per_cent = |share: f64| 100.0 * share;
     let labels = Labels {
-        y: "RMSE, % of full scale",
+        y: "RMSE, % of mean intensity",
         x: "Frame",
         ticks: refined
             .views

@@ -19,6 +19,7 @@ pub(super) fn heading(report: &Report) -> Markup {
             p class="device" {
                 (sensor_name(&report.sensor)) @if !report.serial.is_empty() { " · serial " (report.serial) }
                 " · Relief " (report.relief_version)
+                @if !report.calibration.is_empty() { " · calibration: " (report.calibration) }
             }
             p class="summary" id="summary" { (summary(report)) }
         }
@@ -48,7 +49,7 @@ fn summary(report: &Report) -> String {
         ),
         Some(refined) => format!(
             "{capture}; {} faces refined from {} shading images. The difference between rendered and observed infrared went \
-             from {} to {} of full scale ({}).",
+             from {} to {} of the mean intensity ({}).",
             count(refined.faces),
             refined.views.len(),
             percent(refined.rmse_before),

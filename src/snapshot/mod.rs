@@ -1,5 +1,11 @@
 //! Shading images: when one is taken, and from where.
 
+mod selector;
+
+pub use selector::{
+    RejectReason, Rejection, SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame,
+};
+
 use crate::geometry::Pose;
 use depth_camera::Image;
 

@@ -1,0 +1,69 @@
+//! The ends of the pipeline that touch the outside: the device thread, which takes frames from a camera, and the recorder,
+//! which writes frames and events to the disk.
+//!
+//! Both are plain loops over what they are given; threads and channels are made by `pipeline`.
+
+mod device;
+mod event;
+mod recorder;
+
+pub use device::{CaptureEnd, CaptureSummary, Delivery, run_device};
+pub use event::{Event, EventKind, Tracked};
+pub use recorder::{Recorder, RecorderSummary};
+
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// What the device thread and the recorder need to know.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CaptureParams {
+    /// How long to wait for one frame before looking whether to stop, seconds.
+    pub grab_timeout_secs: f64,
+    /// A device that is silent for longer is given up, seconds.
+    pub max_silence_secs: f64,
+    /// Depth of a recording is stored in steps of 1 / this many metres.
+    pub record_depth_units_per_metre: f64,
+}
+
+impl Default for CaptureParams {
+    fn default() -> Self {
+        CaptureParams {
+            grab_timeout_secs: 0.5,
+            max_silence_secs: 10.0,
+            record_depth_units_per_metre: 5000.0,
+        }
+    }
+}
+
+impl CaptureParams {
+    /// Checks every value against its bound.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn validate(&self) -> Result<(), String> {
+        for (key, value, low, high) in [
+            ("grab_timeout_secs", self.grab_timeout_secs, 0.01, 5.0),
+            ("max_silence_secs", self.max_silence_secs, 0.1, 3600.0),
+            (
+                "record_depth_units_per_metre",
+                self.record_depth_units_per_metre,
+                1000.0,
+                50_000.0,
+            ),
+        ] {
+            if !(value >= low && value <= high) {
+                return Err(format!("capture.{key} is {value}, must be {low} to {high}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn grab_timeout(&self) -> Duration {
+        Duration::from_secs_f64(self.grab_timeout_secs)
+    }
+
+    fn max_silence(&self) -> Duration {
+        Duration::from_secs_f64(self.max_silence_secs)
+    }
+}

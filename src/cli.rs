@@ -1,0 +1,205 @@
+//! The command line: what can be asked for here, how it is done in [`run`], what is said in the end in [`summary`].
+
+pub mod run;
+pub mod summary;
+
+use anyhow::{Context, bail, ensure};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use depth_camera::Sensor;
+use nalgebra::Point3;
+use relief::{config::Overrides, refine::Roi};
+use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
+
+/// Turns a hand-held Kinect scan into a mesh with detail below the depth sensor's noise, from infrared shading.
+#[derive(Debug, Parser)]
+#[command(
+    name = "relief",
+    version,
+    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 130 interrupted.\n\
+                  Logs go to standard error; RUST_LOG sets their level."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Fuse and refine a recorded session
+    Replay(ReplayArgs),
+    /// Record a session of a simulated sensor
+    Simulate(SimulateArgs),
+    /// Fuse and refine the recording that comes with the program
+    Demo(DemoArgs),
+}
+
+/// `relief replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// Folder for the outputs, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Box of the object in the world frame, metres; found without it
+    #[arg(
+        long,
+        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+        allow_hyphen_values = true
+    )]
+    pub roi: Option<RoiArg>,
+    /// Distance between voxels, metres
+    #[arg(long, value_name = "M")]
+    pub voxel_size: Option<f64>,
+    /// Depth beyond this is ignored, metres
+    #[arg(long, value_name = "M")]
+    pub depth_max: Option<f64>,
+    /// Fuse at the poses of this file (TUM: timestamp tx ty tz qx qy qz qw) instead of tracking
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Calibration of the IR image
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Shading images at most
+    #[arg(long, value_name = "N")]
+    pub max_snapshots: Option<usize>,
+    /// Threads of each pool; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Play at the recorded pace and drop frames rather than wait for fusion
+    #[arg(long)]
+    pub realtime: bool,
+    /// Record the frames into `session` of the output folder
+    #[arg(long)]
+    pub record: bool,
+    /// Fuse only
+    #[arg(long)]
+    pub no_refine: bool,
+    /// Print one JSON object on standard output, and no progress
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl ReplayArgs {
+    /// What the flags override in the configuration.
+    pub fn overrides(&self) -> Overrides {
+        Overrides {
+            voxel_size_m: self.voxel_size,
+            depth_max_m: self.depth_max,
+            max_snapshots: self.max_snapshots,
+        }
+    }
+}
+
+/// `relief simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// Folder for the session, new or empty
+    pub out: PathBuf,
+    /// Frames on the move
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub frames: u32,
+    /// Seed of the noise
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// The sensor
+    #[arg(long, value_enum, default_value_t = SensorArg::Kinect2)]
+    pub sensor: SensorArg,
+    /// Depth is stored in steps of 1 / N metres
+    #[arg(long, value_name = "N", default_value_t = 5000, value_parser = clap::value_parser!(u32).range(100..=100_000))]
+    pub depth_units: u32,
+}
+
+/// `relief demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Folder for the outputs; a new one under `out` without it
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// A sensor by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SensorArg {
+    /// Structured light
+    Kinect1,
+    /// Time of flight
+    Kinect2,
+}
+
+impl From<SensorArg> for Sensor {
+    fn from(arg: SensorArg) -> Sensor {
+        match arg {
+            SensorArg::Kinect1 => Sensor::Kinect1,
+            SensorArg::Kinect2 => Sensor::Kinect2,
+        }
+    }
+}
+
+/// A box as six numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RoiArg(pub Roi);
+
+impl FromStr for RoiArg {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let mut numbers = Vec::new();
+        for number in text.split(',') {
+            let value: f64 = number
+                .trim()
+                .parse()
+                .with_context(|| format!("\"{number}\" is no number"))?;
+            ensure!(value.is_finite(), "{value} must be finite");
+            numbers.push(value);
+        }
+        let [x_min, y_min, z_min, x_max, y_max, z_max] = numbers[..] else {
+            bail!("{} numbers, must be 6", numbers.len());
+        };
+        for (axis, min, max) in [
+            ("x", x_min, x_max),
+            ("y", y_min, y_max),
+            ("z", z_min, z_max),
+        ] {
+            ensure!(
+                min < max,
+                "{axis}min is {min}, must be below {axis}max, {max}"
+            );
+        }
+        Ok(RoiArg(Roi {
+            min: Point3::new(x_min, y_min, z_min),
+            max: Point3::new(x_max, y_max, z_max),
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_box_needs_six_numbers_in_order() {
+        let roi = "-0.1,-0.2,0.3,0.1,0.2,0.9".parse::<RoiArg>().unwrap().0;
+        assert_eq!((roi.min.y, roi.max.z), (-0.2, 0.9));
+        for (text, message) in [
+            ("1,2,3", "3 numbers, must be 6"),
+            ("0,0,0,1,x,1", "\"x\" is no number"),
+            ("0,0,0,1,0,1", "ymin is 0, must be below ymax, 0"),
+            ("0,0,0,1,nan,1", "NaN must be finite"),
+        ] {
+            let error = text.parse::<RoiArg>().unwrap_err();
+            assert_eq!(error.to_string(), message);
+        }
+    }
+}

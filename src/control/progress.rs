@@ -1,0 +1,185 @@
+//! How far a run is: a bar on a terminal, a line now and then elsewhere, or nothing.
+
+use crate::pipeline::{Phase, Status};
+use indicatif::{ProgressBar, ProgressStyle as BarStyle};
+use std::{
+    io::{self, IsTerminal, Write},
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProgressStyle {
+    /// A bar that is drawn over and over.
+    Bar,
+    /// A line every two seconds, and when the phase changes.
+    Lines,
+    /// Nothing.
+    Silent,
+}
+
+impl ProgressStyle {
+    /// What suits standard error.
+    pub fn of_stderr() -> Self {
+        match io::stderr().is_terminal() {
+            true => ProgressStyle::Bar,
+            false => ProgressStyle::Lines,
+        }
+    }
+}
+
+/// Lines are this far apart at least.
+const BETWEEN_LINES: Duration = Duration::from_secs(2);
+
+/// Shows how far a run is, on standard error.
+#[derive(Debug)]
+pub struct Progress {
+    style: ProgressStyle,
+    bar: ProgressBar,
+    last: Mutex<Option<(Instant, String)>>,
+}
+
+impl Progress {
+    /// A display of that style, empty at first.
+    pub fn new(style: ProgressStyle) -> Self {
+        let bar = match style {
+            ProgressStyle::Bar => ProgressBar::no_length(),
+            ProgressStyle::Lines | ProgressStyle::Silent => ProgressBar::hidden(),
+        };
+        Progress {
+            style,
+            bar,
+            last: Mutex::default(),
+        }
+    }
+
+    /// Shows a status.
+    pub fn show(&self, status: &Status) {
+        match self.style {
+            ProgressStyle::Bar => self.draw(status),
+            ProgressStyle::Lines => self.print(status),
+            ProgressStyle::Silent => {}
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    /// A writer for log lines, which must not be drawn over.
+    pub fn log_writer(&self) -> impl Fn() -> LogWriter + Send + Sync + 'static {
+        let bar = self.bar.clone();
+        move || LogWriter(bar.clone())
+    }
+
+    fn draw(&self, status: &Status) {
+        let (done, of) = share(status);
+        let template = match of {
+            Some(_) => "{bar:32} {msg}",
+            None => "{spinner} {msg}",
+        };
+        if let Ok(style) = BarStyle::with_template(template) {
+            self.bar.set_style(style);
+        }
+        match of {
+            Some(of) => self.bar.set_length(of),
+            None => self.bar.tick(),
+        }
+        self.bar.set_position(done);
+        self.bar.set_message(sentence(status));
+    }
+
+    fn print(&self, status: &Status) {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let line = sentence(status);
+        let is_due = match &*last {
+            None => status.n_handled > 0,
+            Some((when, text)) => when.elapsed() >= BETWEEN_LINES && *text != line,
+        };
+        if is_due {
+            eprintln!("{line}");
+            *last = Some((Instant::now(), line));
+        }
+    }
+}
+
+/// Writes log lines to standard error between two drawings of the bar.
+#[derive(Debug)]
+pub struct LogWriter(ProgressBar);
+
+impl Write for LogWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.suspend(|| io::stderr().write(bytes))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}
+
+/// How much of the present phase is done, and of how much, where that is known.
+fn share(status: &Status) -> (u64, Option<u64>) {
+    match status.phase {
+        Phase::Capturing => (status.n_handled, status.n_announced.map(|n| n as u64)),
+        Phase::Refining => (status.rounds.0 as u64, Some(status.rounds.1.max(1) as u64)),
+        Phase::Meshing | Phase::Exporting => (0, None),
+    }
+}
+
+/// What the pipeline is doing, in one line.
+fn sentence(status: &Status) -> String {
+    match status.phase {
+        Phase::Capturing => {
+            let of = status
+                .n_announced
+                .map_or_else(String::new, |n| format!(" of {n}"));
+            let lost = if status.is_lost { ", LOST" } else { "" };
+            format!(
+                "frame {}{of}: {} fused, {} lost{lost}, {} shading images",
+                status.n_handled, status.n_fused, status.n_lost, status.n_snapshots
+            )
+        }
+        Phase::Meshing => "extracting the base mesh".to_owned(),
+        Phase::Refining if status.n_steps == 0 => "refining: preparing".to_owned(),
+        Phase::Refining => format!(
+            "refining: round {} of {}, step {}, energy at {:.1} % of the start",
+            status.rounds.0,
+            status.rounds.1,
+            status.n_steps,
+            100.0 * status.energy_share
+        ),
+        Phase::Exporting => "writing outputs".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_reads_as_a_line() {
+        let mut status = Status {
+            n_announced: Some(48),
+            n_handled: 12,
+            n_fused: 11,
+            n_lost: 1,
+            n_snapshots: 3,
+            ..Status::default()
+        };
+        assert_eq!(
+            sentence(&status),
+            "frame 12 of 48: 11 fused, 1 lost, 3 shading images"
+        );
+        assert_eq!(share(&status), (12, Some(48)));
+        status.phase = Phase::Refining;
+        status.rounds = (2, 4);
+        status.n_steps = 7;
+        status.energy_share = 0.25;
+        assert_eq!(
+            sentence(&status),
+            "refining: round 2 of 4, step 7, energy at 25.0 % of the start"
+        );
+    }
+}

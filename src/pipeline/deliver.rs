@@ -1,0 +1,166 @@
+//! The outputs of a run: what is written where, and what could not be.
+
+use super::fusion_stage::FusedScan;
+use crate::{
+    capture::RecorderSummary,
+    export::{
+        ExportError, Report, ReportPictures, SnapshotRecord, write_glb, write_ply,
+        write_report_html, write_report_json, write_snapshots, write_trajectory,
+    },
+    geometry::TriMesh,
+    refine::Refinement,
+    snapshot::ShadingSnapshot,
+};
+use depth_camera::{CameraInfo, Image};
+use serde_json::{Value, json};
+use std::{
+    path::{Path, PathBuf},
+    sync::{Mutex, PoisonError},
+};
+
+/// The base mesh's file.
+pub const BASE_PLY: &str = "base.ply";
+/// The refined mesh's files.
+pub const REFINED_PLY: &str = "refined.ply";
+const REFINED_GLB: &str = "refined.glb";
+const TRAJECTORY: &str = "trajectory.txt";
+const SNAPSHOTS: &str = "snapshots";
+const REPORT_HTML: &str = "report.html";
+const REPORT_JSON: &str = "report.json";
+
+/// Writes outputs into one folder and keeps account of them. A file that cannot be written costs the others nothing.
+#[derive(Debug)]
+pub struct Outbox {
+    folder: PathBuf,
+    account: Mutex<Account>,
+}
+
+/// What was written, and what could not be.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Account {
+    /// Files and folders written, in order.
+    pub outputs: Vec<PathBuf>,
+    /// What could not be written, in sentences for the operator.
+    pub failures: Vec<String>,
+}
+
+impl Outbox {
+    /// An outbox into a folder that exists.
+    pub fn new(folder: &Path) -> Self {
+        Outbox {
+            folder: folder.to_owned(),
+            account: Mutex::default(),
+        }
+    }
+
+    /// What was written so far, and what could not be.
+    pub fn account(&self) -> Account {
+        self.with_account(|account| account.clone())
+    }
+
+    /// Where an output of that name lies.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Writes the base mesh.
+    pub fn base_mesh(&self, scan: &FusedScan) {
+        let normals = scan.base.vertex_normals();
+        self.write(BASE_PLY, |path| write_ply(path, &scan.base, &normals, None));
+    }
+
+    /// Writes the refined mesh in both formats.
+    pub fn refined_mesh(&self, refinement: &Refinement) {
+        let mesh: &TriMesh = &refinement.mesh;
+        let normals = mesh.vertex_normals();
+        let albedo = Some(refinement.albedo.as_slice());
+        self.write(REFINED_PLY, |path| write_ply(path, mesh, &normals, albedo));
+        self.write(REFINED_GLB, |path| write_glb(path, mesh, &normals, albedo));
+    }
+
+    /// Writes the shading images.
+    pub fn snapshots(&self, snapshots: &[ShadingSnapshot], info: &CameraInfo) {
+        let images: Vec<(Image<u16>, Image<u8>)> = snapshots.iter().map(counts_and_mask).collect();
+        let records: Vec<SnapshotRecord> = snapshots
+            .iter()
+            .zip(&images)
+            .map(|(snapshot, (ir, mask))| SnapshotRecord {
+                ir,
+                mask,
+                world_from_camera: snapshot.world_from_camera,
+                meta: meta(snapshot, info),
+                device_time_secs: snapshot.device_time_secs,
+            })
+            .collect();
+        self.write(SNAPSHOTS, |_| write_snapshots(&self.folder, &records));
+    }
+
+    /// Takes what the recorder wrote into the account, and writes the trajectory.
+    pub fn recorded(&self, summary: &RecorderSummary) {
+        self.with_account(|account| {
+            account.outputs.extend_from_slice(&summary.outputs);
+            account.failures.extend_from_slice(&summary.failures);
+        });
+        if !summary.trajectory.is_empty() {
+            self.write(TRAJECTORY, |path| {
+                write_trajectory(path, &summary.trajectory)
+            });
+        }
+    }
+
+    /// Writes the report in both formats, last of all; it lists itself among the outputs.
+    pub fn report(&self, report: &mut Report, pictures: &ReportPictures) {
+        let listed = [REPORT_HTML, REPORT_JSON].map(|name| self.path(name).display().to_string());
+        report.outputs.extend(listed);
+        self.write(REPORT_HTML, |path| {
+            write_report_html(path, report, pictures)
+        });
+        self.write(REPORT_JSON, |path| write_report_json(path, report));
+    }
+
+    /// Notes something that went wrong elsewhere.
+    pub fn fail(&self, what: String) {
+        tracing::error!("{what}");
+        self.with_account(|account| account.failures.push(what));
+    }
+
+    fn write(&self, name: &str, write: impl FnOnce(&Path) -> Result<(), ExportError>) {
+        let path = self.path(name);
+        match write(&path) {
+            Ok(()) => {
+                tracing::debug!(path = %path.display(), "written");
+                self.with_account(|account| account.outputs.push(path));
+            }
+            Err(error) => self.fail(error.to_string()),
+        }
+    }
+
+    fn with_account<T>(&self, f: impl FnOnce(&mut Account) -> T) -> T {
+        // Entries are pushed whole: an account that a panic left behind is as good as any.
+        f(&mut self.account.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+/// The image as it is written, and where it has depth to go with it.
+fn counts_and_mask(snapshot: &ShadingSnapshot) -> (Image<u16>, Image<u8>) {
+    let counts = snapshot.ir_counts.map(|&counts| counts.round() as u16);
+    let mask = snapshot.depth_m.map(|&z| if z > 0.0 { 255 } else { 0 });
+    (counts, mask)
+}
+
+fn meta(snapshot: &ShadingSnapshot, info: &CameraInfo) -> Value {
+    let i = &info.intrinsics;
+    json!({
+        "frame_id": snapshot.frame_id,
+        "device_time_secs": snapshot.device_time_secs,
+        "n_exposures": snapshot.n_exposures,
+        "sensor": info.sensor.name(),
+        "serial": info.serial,
+        "ir_full_scale": info.ir_full_scale,
+        "light_position_camera_m": info.light.map(|light| light.position_m),
+        "intrinsics": {
+            "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
+            "k1": i.k1, "k2": i.k2, "p1": i.p1, "p2": i.p2, "k3": i.k3,
+        },
+    })
+}

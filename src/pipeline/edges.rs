@@ -1,0 +1,214 @@
+//! Every edge between two threads: its capacity, and what happens when it is full.
+//!
+//! | edge | capacity | when full |
+//! |---|---|---|
+//! | device → fusion, frames | 4 | [`WhenFull`]: a recording blocks; a live device drops the oldest frame, which is counted |
+//! | device → recorder, frames | 64 | [`WhenFull`]: a recording blocks; a live device leaves out IR from three quarters on, then drops the frame; both are counted |
+//! | device, fusion → recorder, events and poses | 1024 | blocks: nothing of it may be lost, and the recorder never waits for its sender |
+//! | fusion → refine, the fused scan | 1 | never: one scan is sent |
+
+use super::fusion_stage::FusedScan;
+use crate::capture::Tracked;
+use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
+use depth_camera::Frame;
+use std::sync::{
+    Arc, Weak,
+    atomic::{AtomicU64, Ordering},
+};
+
+const FRAMES: usize = 4;
+const RECORDING: usize = 64;
+/// From this fill on IR is not recorded.
+const RECORDING_WITHOUT_IR: usize = RECORDING / 4 * 3;
+const TRACKED: usize = 1024;
+const SCANS: usize = 1;
+
+/// What the device thread does when its consumers are slower than the device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WhenFull {
+    /// Waits: every frame of a recording is used, and results do not depend on the machine.
+    #[default]
+    Block,
+    /// Drops and counts, so that the device never waits.
+    Drop,
+}
+
+/// Frames that were dropped because the program was busy.
+#[derive(Debug, Default)]
+pub struct DropCounts {
+    /// Frames that fusion never saw.
+    pub frames: AtomicU64,
+    /// Frames that were recorded without their IR.
+    pub recorded_ir: AtomicU64,
+    /// Frames that were not recorded.
+    pub recorded_frames: AtomicU64,
+}
+
+/// Device → fusion, sending end.
+pub struct FrameSender {
+    channel: Sender<Arc<Frame>>,
+    /// There if the oldest frame makes way: what takes it out, and whether fusion still listens.
+    overflow: Option<(Receiver<Arc<Frame>>, Weak<()>)>,
+    counts: Arc<DropCounts>,
+}
+
+/// Device → fusion, receiving end.
+pub struct FrameReceiver {
+    channel: Receiver<Arc<Frame>>,
+    /// Tells a sender, which holds a receiver of its own, that nobody listens any more.
+    _alive: Arc<()>,
+}
+
+/// Device → fusion.
+pub fn frames(when_full: WhenFull, counts: &Arc<DropCounts>) -> (FrameSender, FrameReceiver) {
+    let (sender, receiver) = bounded(FRAMES);
+    let alive = Arc::new(());
+    let overflow = match when_full {
+        WhenFull::Block => None,
+        WhenFull::Drop => Some((receiver.clone(), Arc::downgrade(&alive))),
+    };
+    let sender = FrameSender {
+        channel: sender,
+        overflow,
+        counts: counts.clone(),
+    };
+    let receiver = FrameReceiver {
+        channel: receiver,
+        _alive: alive,
+    };
+    (sender, receiver)
+}
+
+impl FrameSender {
+    /// Sends a frame; false if nobody listens any more.
+    pub fn send(&self, frame: Arc<Frame>) -> bool {
+        let Some((oldest, alive)) = &self.overflow else {
+            return self.channel.send(frame).is_ok();
+        };
+        let mut frame = frame;
+        loop {
+            match self.channel.try_send(frame) {
+                Ok(()) => return alive.strong_count() > 0,
+                Err(TrySendError::Disconnected(_)) => return false,
+                Err(TrySendError::Full(refused)) => frame = refused,
+            }
+            if oldest.try_recv().is_ok() {
+                self.counts.frames.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl FrameReceiver {
+    /// Waits for a frame; `None` when there will be no more.
+    pub fn recv(&self) -> Option<Arc<Frame>> {
+        self.channel.recv().ok()
+    }
+}
+
+/// Device → recorder, sending end.
+pub struct RecordingSender {
+    channel: Sender<Arc<Frame>>,
+    when_full: WhenFull,
+    counts: Arc<DropCounts>,
+}
+
+/// Device → recorder, frames.
+pub fn recording(
+    when_full: WhenFull,
+    counts: &Arc<DropCounts>,
+) -> (RecordingSender, Receiver<Arc<Frame>>) {
+    let (sender, receiver) = bounded(RECORDING);
+    let sender = RecordingSender {
+        channel: sender,
+        when_full,
+        counts: counts.clone(),
+    };
+    (sender, receiver)
+}
+
+impl RecordingSender {
+    /// Sends a frame; one that finds no room is counted, one that finds no recorder is not.
+    pub fn send(&self, frame: Arc<Frame>) {
+        if self.when_full == WhenFull::Block {
+            // A recorder that is gone has told why.
+            let _ = self.channel.send(frame);
+            return;
+        }
+        let frame = match self.channel.len() {
+            n if n >= RECORDING_WITHOUT_IR => self.without_ir(frame),
+            _ => frame,
+        };
+        if let Err(TrySendError::Full(_)) = self.channel.try_send(frame) {
+            self.counts.recorded_frames.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// The frame's depth alone, if it has both.
+    fn without_ir(&self, frame: Arc<Frame>) -> Arc<Frame> {
+        if frame.ir.is_none() || frame.depth.is_none() {
+            return frame;
+        }
+        self.counts.recorded_ir.fetch_add(1, Ordering::Relaxed);
+        Arc::new(Frame {
+            ir: None,
+            depth: frame.depth.clone(),
+            ..*frame
+        })
+    }
+}
+
+/// Device and fusion → recorder, events and poses.
+pub fn tracked() -> (Sender<Tracked>, Receiver<Tracked>) {
+    bounded(TRACKED)
+}
+
+/// Fusion → refine.
+pub fn scans() -> (Sender<Arc<FusedScan>>, Receiver<Arc<FusedScan>>) {
+    bounded(SCANS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use depth_camera::Image;
+    use std::time::Instant;
+
+    fn frame(frame_id: u64) -> Arc<Frame> {
+        Arc::new(Frame {
+            frame_id,
+            device_time_secs: frame_id as f64,
+            host_time: Instant::now(),
+            depth: Some(Image::filled(1, 1, 1.0)),
+            ir: Some(Image::filled(1, 1, 1)),
+        })
+    }
+
+    #[test]
+    fn the_newest_frames_win_and_the_rest_is_counted() {
+        let counts = Arc::new(DropCounts::default());
+        let (sender, receiver) = frames(WhenFull::Drop, &counts);
+        for frame_id in 0..10 {
+            assert!(sender.send(frame(frame_id)));
+        }
+        assert_eq!(counts.frames.load(Ordering::Relaxed), 6);
+        assert_eq!(receiver.recv().map(|frame| frame.frame_id), Some(6));
+        drop(receiver);
+        assert!(!sender.send(frame(10)));
+    }
+
+    #[test]
+    fn a_full_recording_loses_infrared_before_depth() {
+        let counts = Arc::new(DropCounts::default());
+        let (sender, receiver) = recording(WhenFull::Drop, &counts);
+        for frame_id in 0..70 {
+            sender.send(frame(frame_id));
+        }
+        let recorded: Vec<_> = receiver.try_iter().collect();
+        assert_eq!(recorded.len(), RECORDING);
+        assert!(recorded.iter().all(|frame| frame.depth.is_some()));
+        let n_ir = recorded.iter().filter(|frame| frame.ir.is_some()).count();
+        assert_eq!(n_ir, RECORDING_WITHOUT_IR);
+        assert_eq!(counts.recorded_frames.load(Ordering::Relaxed), 6);
+    }
+}

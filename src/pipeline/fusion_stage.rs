@@ -1,0 +1,279 @@
+//! The fusion thread: frames in, and at the end of the stream one scan out: base mesh, camera poses, shading images.
+
+use super::{
+    edges::FrameReceiver,
+    given_poses::GivenPoses,
+    losses::Losses,
+    status::{Phase, StatusSlot},
+    timing::StageClock,
+};
+use crate::{
+    capture::{Event, EventKind, Tracked},
+    export::StageTiming,
+    fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome},
+    geometry::{CameraModel, Pose, TriMesh},
+    snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
+};
+use crossbeam::channel::Sender;
+use depth_camera::{CameraInfo, Frame, Image};
+use rayon::ThreadPool;
+use std::sync::Arc;
+
+/// What the fusion thread needs to know.
+pub struct FusionSetup {
+    /// The camera.
+    pub info: CameraInfo,
+    /// Tracking and fusion.
+    pub fusion: FusionParams,
+    /// Selection of shading images.
+    pub snapshot: SnapshotParams,
+    /// Poses to fuse at instead of tracking.
+    pub poses: Option<GivenPoses>,
+    /// Where tracking computes.
+    pub pool: ThreadPool,
+    /// Where the status goes.
+    pub status: StatusSlot,
+}
+
+/// A scan ready to be refined.
+#[derive(Clone, Debug)]
+pub struct FusedScan {
+    /// The surface, world frame.
+    pub base: TriMesh,
+    /// Poses of all fused frames, world from camera.
+    pub world_from_cameras: Vec<Pose>,
+    /// The shading images; `None` if the camera gives none.
+    pub snapshots: Option<SnapshotSelection>,
+    /// The last depth image that was fused, metres.
+    pub last_depth: Option<Image<f32>>,
+}
+
+/// What became of the frames.
+#[derive(Clone, Debug, Default)]
+pub struct FusionSummary {
+    /// Frames in the model.
+    pub n_fused: u64,
+    /// Frames during which tracking was lost.
+    pub n_lost: u64,
+    /// Frames without depth.
+    pub n_without_depth: u64,
+    /// When tracking was lost.
+    pub losses: Losses,
+    /// Length of the camera's path, metres.
+    pub path_length_m: f64,
+    /// The scan; `None` if nothing was fused.
+    pub scan: Option<Arc<FusedScan>>,
+    /// Times of the steps that ran.
+    pub timings: Vec<StageTiming>,
+}
+
+/// Fuses frames until there are no more, then sends the scan.
+pub fn run(
+    setup: FusionSetup,
+    frames: FrameReceiver,
+    tracked: Sender<Tracked>,
+    scans: Sender<Arc<FusedScan>>,
+) -> FusionSummary {
+    let mut stage = FusionStage::new(setup, tracked);
+    while let Some(frame) = frames.recv() {
+        stage.handle(&frame);
+    }
+    let summary = stage.finish();
+    if let Some(scan) = &summary.scan {
+        // A refinement that is gone is told of where its thread is joined.
+        let _ = scans.send(scan.clone());
+    }
+    summary
+}
+
+/// What the fusion thread has in hand.
+struct FusionStage {
+    fusion: Fusion,
+    selector: Option<SnapshotSelector>,
+    poses: Option<GivenPoses>,
+    pool: ThreadPool,
+    status: StatusSlot,
+    tracked: Sender<Tracked>,
+    summary: FusionSummary,
+    world_from_cameras: Vec<Pose>,
+    last_depth: Option<Image<f32>>,
+    had_depth: bool,
+    fusion_clock: StageClock,
+    selection_clock: StageClock,
+}
+
+impl FusionStage {
+    fn new(setup: FusionSetup, tracked: Sender<Tracked>) -> Self {
+        let camera = CameraModel::new(setup.info.intrinsics);
+        let noise = DepthNoise::of_sensor(setup.info.sensor);
+        FusionStage {
+            fusion: setup
+                .pool
+                .install(|| Fusion::new(camera, noise, setup.fusion)),
+            selector: SnapshotSelector::new(&setup.info, setup.snapshot),
+            poses: setup.poses,
+            pool: setup.pool,
+            status: setup.status,
+            tracked,
+            summary: FusionSummary::default(),
+            world_from_cameras: Vec::new(),
+            last_depth: None,
+            had_depth: true,
+            fusion_clock: StageClock::new("tracking and fusion"),
+            selection_clock: StageClock::new("selection of shading images"),
+        }
+    }
+
+    /// One frame: track and fuse it, tell what became of it, and consider it for shading.
+    fn handle(&mut self, frame: &Arc<Frame>) {
+        match self.fuse(frame) {
+            Some(outcome) => {
+                self.account(frame, &outcome);
+                self.consider(frame, &outcome);
+            }
+            None => self.lost(frame, "no given pose within 20 ms".to_owned()),
+        }
+        self.publish();
+    }
+
+    /// What became of a frame; `None` where poses are given and none is near.
+    fn fuse(&mut self, frame: &Frame) -> Option<TrackingOutcome> {
+        let Some(depth) = &frame.depth else {
+            return Some(TrackingOutcome::NoDepth);
+        };
+        let time_secs = frame.device_time_secs;
+        let given = match &self.poses {
+            Some(poses) => Some(poses.at(time_secs)?),
+            None => None,
+        };
+        let (fusion, pool) = (&mut self.fusion, &self.pool);
+        let outcome = self.fusion_clock.time(|| {
+            pool.install(|| match given {
+                Some(world_from_camera) => fusion.fuse_at(depth, time_secs, &world_from_camera),
+                None => fusion.fuse(depth, time_secs),
+            })
+        });
+        Some(outcome)
+    }
+
+    fn account(&mut self, frame: &Frame, outcome: &TrackingOutcome) {
+        match outcome {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => self.found(frame, world_from_camera),
+            TrackingOutcome::NoDepth => {
+                self.summary.n_without_depth += 1;
+                if std::mem::replace(&mut self.had_depth, false) {
+                    self.tell(frame, EventKind::NoDepth);
+                }
+            }
+            TrackingOutcome::Lost(reason) => self.lost(frame, super::losses::sentence(reason)),
+        }
+    }
+
+    fn found(&mut self, frame: &Frame, world_from_camera: &Pose) {
+        self.had_depth = true;
+        self.summary.n_fused += 1;
+        if self.summary.losses.end() {
+            tracing::info!(frame_id = frame.frame_id, "tracking found back");
+            self.tell(frame, EventKind::Found);
+        }
+        if let Some(previous) = self.world_from_cameras.last() {
+            self.summary.path_length_m +=
+                (world_from_camera.translation.vector - previous.translation.vector).norm();
+        }
+        self.world_from_cameras.push(*world_from_camera);
+        self.send(Tracked::Pose(frame.device_time_secs, *world_from_camera));
+        self.last_depth.clone_from(&frame.depth);
+    }
+
+    fn lost(&mut self, frame: &Frame, reason: String) {
+        self.had_depth = true;
+        self.summary.n_lost += 1;
+        let time_secs = frame.device_time_secs;
+        let is_new = self
+            .summary
+            .losses
+            .extend(frame.frame_id, time_secs, &reason);
+        if is_new {
+            tracing::warn!(frame_id = frame.frame_id, reason, "tracking lost");
+            self.tell(frame, EventKind::Lost { reason });
+        }
+    }
+
+    /// Shows a frame to the selector of shading images.
+    fn consider(&mut self, frame: &Arc<Frame>, outcome: &TrackingOutcome) {
+        let Some(selector) = &mut self.selector else {
+            return;
+        };
+        let tracked = TrackedFrame {
+            frame,
+            outcome,
+            model: self.fusion.model(),
+        };
+        let n_before = selector.n_accepted();
+        let pool = &self.pool;
+        self.selection_clock
+            .time(|| pool.install(|| selector.observe(&tracked)));
+        let n_snapshots = selector.n_accepted();
+        if n_snapshots > n_before {
+            self.tell(frame, EventKind::Snapshot { n_snapshots });
+        }
+    }
+
+    fn publish(&self) {
+        let summary = &self.summary;
+        let n_snapshots = self
+            .selector
+            .as_ref()
+            .map_or(0, SnapshotSelector::n_accepted);
+        self.status.update(|status| {
+            status.n_handled += 1;
+            status.n_fused = summary.n_fused;
+            status.n_lost = summary.n_lost;
+            status.is_lost = summary.losses.is_lost();
+            status.n_snapshots = n_snapshots;
+        });
+    }
+
+    fn tell(&self, frame: &Frame, kind: EventKind) {
+        self.send(Tracked::Event(Event {
+            frame_id: frame.frame_id,
+            device_time_secs: Some(frame.device_time_secs),
+            kind,
+        }));
+    }
+
+    fn send(&self, tracked: Tracked) {
+        // A recorder that is gone is told of where its thread is joined.
+        let _ = self.tracked.send(tracked);
+    }
+
+    /// Takes the mesh out of the volume; the volume's memory is free before refinement begins.
+    fn finish(mut self) -> FusionSummary {
+        let mut meshing_clock = StageClock::new("mesh extraction");
+        if self.summary.n_fused > 0 {
+            self.status.update(|status| status.phase = Phase::Meshing);
+            let (fusion, pool) = (&self.fusion, &self.pool);
+            let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
+            tracing::info!(
+                n_fused = self.summary.n_fused,
+                volume_mib = fusion.memory_bytes() >> 20,
+                vertices = base.vertices.len(),
+                faces = base.faces.len(),
+                "base mesh extracted"
+            );
+            self.summary.scan = Some(Arc::new(FusedScan {
+                base,
+                world_from_cameras: self.world_from_cameras,
+                snapshots: self.selector.map(SnapshotSelector::finish),
+                last_depth: self.last_depth,
+            }));
+        }
+        self.summary.timings = [self.fusion_clock, self.selection_clock, meshing_clock]
+            .iter()
+            .filter_map(StageClock::timing)
+            .collect();
+        self.summary
+    }
+}

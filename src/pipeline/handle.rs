@@ -1,0 +1,188 @@
+//! What the outside holds of a running pipeline: its newest status, a way to stop it, and its outcome.
+
+use super::{
+    deliver::Outbox,
+    edges::DropCounts,
+    fusion_stage::FusionSummary,
+    output_folder::OutputFolder,
+    pictures,
+    refine_stage::RefineSummary,
+    report::{self, Endings, Subject},
+    status::{Phase, Status, StatusSlot, StopToken},
+};
+use crate::{
+    capture::{CaptureEnd, CaptureSummary, RecorderSummary},
+    export::{Report, ReportPictures},
+};
+use std::{any::Any, sync::Arc, thread::JoinHandle};
+
+/// A running pipeline.
+pub struct Handle {
+    pub(super) subject: Subject,
+    pub(super) watch: Watch,
+    pub(super) threads: Threads,
+    pub(super) drops: Arc<DropCounts>,
+    pub(super) outbox: Arc<Outbox>,
+    pub(super) folder: OutputFolder,
+}
+
+/// The threads of a pipeline, in the order in which they end.
+pub(super) struct Threads {
+    pub device: JoinHandle<CaptureSummary>,
+    pub fusion: JoinHandle<FusionSummary>,
+    pub recorder: JoinHandle<RecorderSummary>,
+    pub refine: JoinHandle<RefineSummary>,
+}
+
+/// Looks at a pipeline and stops it, from any thread.
+#[derive(Clone, Debug, Default)]
+pub struct Watch {
+    pub(super) status: StatusSlot,
+    pub(super) stop: StopToken,
+}
+
+impl Watch {
+    /// The newest status.
+    pub fn status(&self) -> Status {
+        self.status.get()
+    }
+
+    /// Ends capture and refinement; what was captured is still fused, exported and reported.
+    pub fn stop(&self) {
+        self.stop.stop();
+    }
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// Everything that was asked for was tried.
+    Complete,
+    /// Somebody asked to stop.
+    Stopped,
+}
+
+/// What a run leaves behind.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// How it ended.
+    pub ending: Ending,
+    /// The report, as it was written.
+    pub report: Report,
+    /// What went wrong, in sentences for the operator; empty after a good run.
+    pub failures: Vec<String>,
+}
+
+impl Handle {
+    /// The newest status.
+    pub fn status(&self) -> Status {
+        self.watch.status()
+    }
+
+    /// Ends capture and refinement; what was captured is still fused, exported and reported.
+    pub fn stop(&self) {
+        self.watch.stop();
+    }
+
+    /// Something to look at the pipeline with while another thread waits in [`Handle::join`].
+    pub fn watch(&self) -> Watch {
+        self.watch.clone()
+    }
+
+    /// Waits for all threads, then writes the report.
+    pub fn join(self) -> Outcome {
+        let outbox = &self.outbox;
+        let capture = ended("device", self.threads.device, outbox).unwrap_or(CaptureSummary {
+            n_frames: 0,
+            n_damaged: 0,
+            n_timeouts: 0,
+            first_damage: None,
+            end: CaptureEnd::Unwanted,
+        });
+        let fusion = ended("fusion", self.threads.fusion, outbox).unwrap_or_default();
+        ended("recorder", self.threads.recorder, outbox);
+        let refined =
+            ended("refine", self.threads.refine, outbox).unwrap_or_else(|| RefineSummary {
+                not_refined_reason: Some("refinement ended by a fault of the program".to_owned()),
+                ..RefineSummary::default()
+            });
+        if let CaptureEnd::Failed(error) = &capture.end {
+            outbox.fail(format!("the camera failed: {error}"));
+        }
+        let endings = Endings {
+            capture: &capture,
+            drops: &self.drops,
+            fusion: &fusion,
+            refined: &refined,
+            stopped_early: self.watch.stop.is_stopped(),
+        };
+        self.watch
+            .status
+            .update(|status| status.phase = Phase::Exporting);
+        conclude(&self.subject, &endings, outbox, self.folder)
+    }
+}
+
+/// Writes the report, if there is anything to report, and frees the folder.
+fn conclude(
+    subject: &Subject,
+    endings: &Endings,
+    outbox: &Outbox,
+    folder: OutputFolder,
+) -> Outcome {
+    let scan = endings.fusion.scan.as_ref();
+    if scan.is_none() {
+        outbox.fail(nothing_fused(subject, endings));
+    }
+    let mut report = report::compose(subject, endings, &outbox.account());
+    if let Some(scan) = scan {
+        let draw = || pictures::draw(scan, endings.refined);
+        let drawn = std::panic::catch_unwind(std::panic::AssertUnwindSafe(draw));
+        let pictures = drawn.unwrap_or_else(|panic| {
+            outbox.fail(fault("the report's pictures", panic.as_ref()));
+            ReportPictures::default()
+        });
+        outbox.report(&mut report, &pictures);
+    }
+    drop(folder);
+    Outcome {
+        ending: match endings.stopped_early {
+            true => Ending::Stopped,
+            false => Ending::Complete,
+        },
+        failures: outbox.account().failures,
+        report,
+    }
+}
+
+fn nothing_fused(subject: &Subject, endings: &Endings) -> String {
+    let frames = report::frame_counts(endings);
+    let first = endings.capture.first_damage.as_ref();
+    format!(
+        "no frame of {} could be fused: {} frames, of which {} damaged, {} without depth in range, {} lost, {} dropped{}",
+        subject.session,
+        frames.total,
+        frames.damaged,
+        frames.without_depth,
+        frames.lost,
+        frames.dropped,
+        first.map_or_else(String::new, |what| format!("; the first damage: {what}"))
+    )
+}
+
+/// What a thread returned; a panic is noted as a failure.
+fn ended<T>(name: &str, thread: JoinHandle<T>, outbox: &Outbox) -> Option<T> {
+    thread
+        .join()
+        .map_err(|panic| outbox.fail(fault(&format!("the {name} thread"), panic.as_ref())))
+        .ok()
+}
+
+fn fault(what: &str, panic: &(dyn Any + Send)) -> String {
+    let message = panic
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("no message");
+    format!("{what} ended by a fault of the program: {message}")
+}

@@ -1,0 +1,246 @@
+//! The only place where the stages meet: one thread for each, one bounded channel for each edge.
+//!
+//! ```text
+//! device ──frames──▶ fusion ──scan──▶ refine ──▶ outputs
+//!    │                  │
+//!    └─frames, events─▶ recorder ◀─events, poses
+//! ```
+//!
+//! Capacities and what happens when an edge is full stand in [`edges`]. Results depend on the frames alone: with
+//! [`WhenFull::Block`] they are the same for any number of threads. [`Handle::stop`] ends capture, lets fusion finish what
+//! it has, and cancels refinement; base mesh and report are still written. A thread that panics takes down nothing but its
+//! own outputs.
+
+pub mod edges;
+mod handle;
+mod status;
+
+mod device_stage;
+mod fusion_stage;
+mod given_poses;
+mod losses;
+mod recorder_stage;
+mod refine_stage;
+
+mod deliver;
+mod output_folder;
+mod pictures;
+mod report;
+mod timing;
+
+pub use edges::WhenFull;
+pub use fusion_stage::FusedScan;
+pub use given_poses::GivenPoses;
+pub use handle::{Ending, Handle, Outcome, Watch};
+pub use output_folder::{OutputFolder, OutputFolderError};
+pub use status::{Phase, Status};
+
+use crate::{
+    capture::{CaptureParams, Recorder},
+    fusion::FusionParams,
+    refine::{RefineParams, Roi},
+    shading::Calibration,
+    snapshot::SnapshotParams,
+};
+use deliver::Outbox;
+use depth_camera::{CameraInfo, DepthCamera};
+use device_stage::DeviceSetup;
+use edges::DropCounts;
+use fusion_stage::FusionSetup;
+use handle::Threads;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use refine_stage::RefineSetup;
+use report::Subject;
+use std::{
+    io,
+    num::NonZeroUsize,
+    sync::Arc,
+    thread::{self, JoinHandle},
+};
+
+/// Everything that a run needs to know; all parameters must have been validated.
+pub struct PipelineParams {
+    /// Name of the recording or scan.
+    pub session: String,
+    /// The device thread and the recorder.
+    pub capture: CaptureParams,
+    /// Tracking and fusion.
+    pub fusion: FusionParams,
+    /// Selection of shading images.
+    pub snapshot: SnapshotParams,
+    /// Refinement; `None` to fuse only.
+    pub refine: Option<RefineParams>,
+    /// Response, flat field and noise of the camera's IR.
+    pub calibration: Calibration,
+    /// Where the calibration comes from, for the report.
+    pub calibration_source: String,
+    /// The object's box in the world frame; without one the object is found.
+    pub roi: Option<Roi>,
+    /// Poses to fuse at instead of tracking.
+    pub poses: Option<GivenPoses>,
+    /// Threads of each of the two pools.
+    pub n_threads: NonZeroUsize,
+    /// What happens when the program is slower than the camera.
+    pub when_full: WhenFull,
+    /// Whether the frames are recorded.
+    pub record: bool,
+    /// What the operator should know from the start.
+    pub warnings: Vec<String>,
+}
+
+/// Why a pipeline could not be started.
+#[derive(Debug, thiserror::Error)]
+pub enum SpawnError {
+    /// The recorder cannot write.
+    #[error("cannot record: {0}")]
+    Recorder(#[from] replay::WriteError),
+    /// The system gives no thread.
+    #[error("cannot start a thread: {0}")]
+    Thread(#[from] io::Error),
+    /// The system gives no threads for a pool.
+    #[error("cannot start a pool of threads: {0}")]
+    Pool(#[from] ThreadPoolBuildError),
+}
+
+/// The pipeline as a whole.
+pub struct Pipeline;
+
+impl Pipeline {
+    /// Starts all threads; the folder is held until [`Handle::join`] returns.
+    ///
+    /// # Errors
+    /// If the recorder cannot write into the folder, or the system gives no threads.
+    pub fn spawn(
+        camera: Box<dyn DepthCamera>,
+        params: PipelineParams,
+        folder: OutputFolder,
+    ) -> Result<Handle, SpawnError> {
+        let subject = subject(&params, camera.info(), &folder);
+        let watch = watch(camera.info());
+        let drops = Arc::new(DropCounts::default());
+        let outbox = Arc::new(Outbox::new(folder.path()));
+        let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
+        let recorder = recorder(&params, camera.info(), &folder)?;
+        let fusion = fusion_setup(&params, camera.info(), &watch)?;
+        let refine = refine_setup(&params, camera.info(), &watch)?;
+        let device = device_setup(&params, camera, &watch);
+
+        let (frames_in, frames_out) = edges::frames(params.when_full, &drops);
+        let (recording_in, recording_out) = edges::recording(params.when_full, &drops);
+        let (tracked_in, tracked_out) = edges::tracked();
+        let (scans_in, scans_out) = edges::scans();
+        let events_in = tracked_in.clone();
+
+        let threads = Threads {
+            device: spawn("device", move || {
+                device_stage::run(device, &frames_in, &recording_in, &events_in)
+            })?,
+            fusion: spawn("fusion", move || {
+                fusion_stage::run(fusion, frames_out, tracked_in, scans_in)
+            })?,
+            recorder: spawn("recorder", move || {
+                recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
+            })?,
+            refine: spawn("refine", move || {
+                refine_stage::run(&refine, &scans_out, &outbox_of_refine)
+            })?,
+        };
+        Ok(Handle {
+            subject,
+            watch,
+            threads,
+            drops,
+            outbox,
+            folder,
+        })
+    }
+}
+
+/// Starts a thread; names have 15 bytes at most, which is what the system shows.
+fn spawn<T: Send + 'static>(
+    name: &str,
+    body: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<JoinHandle<T>> {
+    thread::Builder::new().name(name.to_owned()).spawn(body)
+}
+
+fn pool(name: &'static str, n_threads: NonZeroUsize) -> Result<ThreadPool, ThreadPoolBuildError> {
+    ThreadPoolBuilder::new()
+        .num_threads(n_threads.get())
+        .thread_name(move |index| format!("{name}-{index}"))
+        .build()
+}
+
+fn subject(params: &PipelineParams, info: &CameraInfo, folder: &OutputFolder) -> Subject {
+    Subject {
+        session: params.session.clone(),
+        info: info.clone(),
+        calibration: params.calibration_source.clone(),
+        warnings: params.warnings.clone(),
+        folder: folder.path().to_owned(),
+    }
+}
+
+fn watch(info: &CameraInfo) -> Watch {
+    let watch = Watch::default();
+    watch
+        .status
+        .update(|status| status.n_announced = info.n_frames);
+    watch
+}
+
+fn recorder(
+    params: &PipelineParams,
+    info: &CameraInfo,
+    folder: &OutputFolder,
+) -> Result<Recorder, replay::WriteError> {
+    let recorder = Recorder::new(folder.path())?;
+    match params.record {
+        true => recorder.with_frames(info, params.capture.record_depth_units_per_metre),
+        false => Ok(recorder),
+    }
+}
+
+fn device_setup(
+    params: &PipelineParams,
+    camera: Box<dyn DepthCamera>,
+    watch: &Watch,
+) -> DeviceSetup {
+    DeviceSetup {
+        camera,
+        capture: params.capture.clone(),
+        record: params.record,
+        stop: watch.stop.clone(),
+    }
+}
+
+fn fusion_setup(
+    params: &PipelineParams,
+    info: &CameraInfo,
+    watch: &Watch,
+) -> Result<FusionSetup, ThreadPoolBuildError> {
+    Ok(FusionSetup {
+        info: info.clone(),
+        fusion: params.fusion.clone(),
+        snapshot: params.snapshot.clone(),
+        poses: params.poses.clone(),
+        pool: pool("track", params.n_threads)?,
+        status: watch.status.clone(),
+    })
+}
+
+fn refine_setup(
+    params: &PipelineParams,
+    info: &CameraInfo,
+    watch: &Watch,
+) -> Result<RefineSetup, ThreadPoolBuildError> {
+    Ok(RefineSetup {
+        info: info.clone(),
+        refine: params.refine.clone(),
+        calibration: params.calibration.clone(),
+        roi: params.roi,
+        pool: pool("refine", params.n_threads)?,
+        status: watch.status.clone(),
+        stop: watch.stop.clone(),
+    })
+}

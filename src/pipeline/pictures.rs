@@ -1,0 +1,67 @@
+//! The pictures of a report: the surface before and after, and what the sensor saw.
+
+use super::{fusion_stage::FusedScan, refine_stage::RefineSummary};
+use crate::{
+    export::{MeanView, PhongParams, PictureSize, PictureView, ReportPictures, phong, three_views},
+    geometry::TriMesh,
+    snapshot::ShadingSnapshot,
+};
+use depth_camera::Image;
+
+/// Shading images shown at most; they are spread over the scan.
+const MAX_THUMBNAILS: usize = 12;
+/// This share of the pixels is shown as white at most, so that a highlight does not darken the rest.
+const WHITE_SHARE: f64 = 0.005;
+
+/// Draws all pictures of a scan.
+pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
+    let shown = refined.object.as_ref().unwrap_or(&scan.base);
+    let mean = MeanView::from_poses(&scan.world_from_cameras);
+    let views = three_views(shown, &mean, PictureSize::default());
+    let draw_all = |mesh: &TriMesh| {
+        let normals = mesh.vertex_normals();
+        let draw = |view: &PictureView| phong(mesh, &normals, view, &PhongParams::default());
+        views.iter().flatten().map(draw).collect()
+    };
+    let snapshots = scan.snapshots.iter().flat_map(|s| &s.accepted);
+    let every = snapshots.clone().count().div_ceil(MAX_THUMBNAILS).max(1);
+    ReportPictures {
+        base: draw_all(shown),
+        refined: refined
+            .refinement
+            .iter()
+            .flat_map(|refinement| draw_all(&refinement.mesh))
+            .collect(),
+        thumbnails: snapshots.step_by(every).map(thumbnail).collect(),
+        depth_thumbnail: scan.last_depth.as_ref().map(depth_as_grey),
+    }
+}
+
+fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {
+    let caption = format!(
+        "Infrared, frame {}, {:.2} s",
+        snapshot.frame_id, snapshot.device_time_secs
+    );
+    let ir = &snapshot.ir_counts;
+    let mut sorted = ir.data().to_vec();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let index = (sorted.len() as f64 * (1.0 - WHITE_SHARE)) as usize;
+    let white = sorted.get(index).copied().unwrap_or(1.0).max(1.0);
+    let grey = |&counts: &f32| (255.0 * (counts / white).clamp(0.0, 1.0)) as u8;
+    (caption, ir.map(grey))
+}
+
+/// Near is bright, no measurement black.
+fn depth_as_grey(depth: &Image<f32>) -> Image<u8> {
+    let valid = || depth.data().iter().copied().filter(|&z| z > 0.0);
+    let near = valid().fold(f32::INFINITY, f32::min);
+    let far = valid().fold(0.0, f32::max);
+    let range = (far - near).max(1e-3);
+    depth.map(|&z| {
+        if z > 0.0 {
+            (255.0 - 200.0 * (z - near) / range) as u8
+        } else {
+            0
+        }
+    })
+}

@@ -1,0 +1,206 @@
+//! The refinement thread: one scan in, its meshes and shading images on the disk.
+
+use super::{
+    deliver::Outbox,
+    fusion_stage::FusedScan,
+    status::{Phase, StatusSlot, StopToken},
+    timing::StageClock,
+};
+use crate::{
+    export::StageTiming,
+    geometry::{CameraModel, RayGrid, TriMesh},
+    refine::{Optics, RefineParams, Refinement, Roi, refine, select_object, select_roi},
+    shading::Calibration,
+    snapshot::{ShadingSnapshot, SnapshotSelection},
+};
+use crossbeam::channel::Receiver;
+use depth_camera::CameraInfo;
+use nalgebra::Point3;
+use rayon::ThreadPool;
+use std::{collections::BTreeMap, sync::Arc};
+
+/// What the refinement thread needs to know.
+pub struct RefineSetup {
+    /// The camera.
+    pub info: CameraInfo,
+    /// Refinement; `None` if it is switched off.
+    pub refine: Option<RefineParams>,
+    /// Response, flat field and noise of the camera's IR.
+    pub calibration: Calibration,
+    /// The object's box; without one the object is found.
+    pub roi: Option<Roi>,
+    /// Where refinement computes.
+    pub pool: ThreadPool,
+    /// Where the status goes.
+    pub status: StatusSlot,
+    /// Ends refinement early.
+    pub stop: StopToken,
+}
+
+/// What became of the scan.
+#[derive(Debug, Default)]
+pub struct RefineSummary {
+    /// The part of the base mesh that is the object.
+    pub object: Option<TriMesh>,
+    /// The refined surface.
+    pub refinement: Option<Refinement>,
+    /// Why there is none.
+    pub not_refined_reason: Option<String>,
+    /// Times of the steps that ran.
+    pub timings: Vec<StageTiming>,
+}
+
+/// Waits for the scan, exports its base mesh, refines and exports the rest.
+pub fn run(
+    setup: &RefineSetup,
+    scans: &Receiver<Arc<FusedScan>>,
+    outbox: &Outbox,
+) -> RefineSummary {
+    let mut summary = RefineSummary::default();
+    // A scan that never comes is told of by the fusion thread.
+    let Ok(scan) = scans.recv() else {
+        return summary;
+    };
+    let mut export_clock = StageClock::new("export");
+    let mut object_clock = StageClock::new("selection of the object");
+    let mut refine_clock = StageClock::new("refinement");
+
+    // The base mesh first: whatever happens later, it is there.
+    export_clock.time(|| outbox.base_mesh(&scan));
+    let refined = shading_images(setup, &scan).and_then(|snapshots| {
+        export_clock.time(|| outbox.snapshots(snapshots, &setup.info));
+        let object = object_clock.time(|| setup.pool.install(|| object_of(setup, &scan)))?;
+        let object = summary.object.insert(object);
+        setup.status.update(|status| status.phase = Phase::Refining);
+        refine_clock.time(|| {
+            setup
+                .pool
+                .install(|| run_refine(setup, &scan, object, snapshots))
+        })
+    });
+    setup
+        .status
+        .update(|status| status.phase = Phase::Exporting);
+    match refined {
+        Ok(refinement) => {
+            tracing::info!(
+                faces = refinement.mesh.faces.len(),
+                status = ?refinement.status,
+                steps = refinement.iterations.len(),
+                "surface refined"
+            );
+            export_clock.time(|| outbox.refined_mesh(&refinement));
+            summary.refinement = Some(refinement);
+        }
+        Err(reason) => {
+            tracing::warn!(reason, "not refined");
+            summary.not_refined_reason = Some(reason);
+        }
+    }
+    summary.timings = [object_clock, refine_clock, export_clock]
+        .iter()
+        .filter_map(StageClock::timing)
+        .collect();
+    summary
+}
+
+/// The shading images to refine from, or why there are none.
+fn shading_images<'a>(
+    setup: &RefineSetup,
+    scan: &'a FusedScan,
+) -> Result<&'a [ShadingSnapshot], String> {
+    if setup.refine.is_none() {
+        return Err("refinement was switched off".to_owned());
+    }
+    if setup.info.ir_full_scale.is_none() || setup.info.light.is_none() {
+        return Err("the session has no infrared images".to_owned());
+    }
+    let none = || "the camera gives no shading images".to_owned();
+    let selection = scan.snapshots.as_ref().ok_or_else(none)?;
+    if selection.accepted.is_empty() {
+        return Err(why_none_accepted(selection));
+    }
+    Ok(&selection.accepted)
+}
+
+/// The reasons of the rejections, the most frequent first.
+fn why_none_accepted(selection: &SnapshotSelection) -> String {
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for rejection in &selection.rejected {
+        *counts.entry(rejection.reason.to_string()).or_default() += 1;
+    }
+    let mut counts: Vec<_> = counts.into_iter().collect();
+    counts.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
+    let reasons: Vec<String> = counts
+        .iter()
+        .map(|(reason, n)| format!("{n} times: {reason}"))
+        .collect();
+    match reasons.is_empty() {
+        true => "no frame could serve as a shading image".to_owned(),
+        false => format!(
+            "no frame could serve as a shading image ({})",
+            reasons.join("; ")
+        ),
+    }
+}
+
+/// The part of the base mesh to refine, or why there is none.
+fn object_of(setup: &RefineSetup, scan: &FusedScan) -> Result<TriMesh, String> {
+    if setup.stop.is_stopped() {
+        return Err("the run was stopped before refinement began".to_owned());
+    }
+    let (object, missing) = match &setup.roi {
+        Some(roi) => (
+            select_roi(&scan.base, roi),
+            "no surface lies in the box given by --roi",
+        ),
+        None => (
+            select_object(&scan.base, &scan.world_from_cameras).0,
+            "no object stands out of the scene; give its box by --roi",
+        ),
+    };
+    if object.faces.is_empty() {
+        return Err(missing.to_owned());
+    }
+    tracing::info!(
+        faces = object.faces.len(),
+        area_m2 = object.area_m2(),
+        "object selected"
+    );
+    Ok(object)
+}
+
+fn run_refine(
+    setup: &RefineSetup,
+    scan: &FusedScan,
+    object: &TriMesh,
+    snapshots: &[ShadingSnapshot],
+) -> Result<Refinement, String> {
+    let (Some(params), Some(full_scale), Some(light)) =
+        (&setup.refine, setup.info.ir_full_scale, setup.info.light)
+    else {
+        return Err("refinement was switched off".to_owned());
+    };
+    let rays = RayGrid::new(CameraModel::new(setup.info.intrinsics));
+    let optics = Optics {
+        rays: &rays,
+        light_camera: Point3::from(light.position_m),
+        full_scale,
+        calibration: &setup.calibration,
+    };
+    let mut first_energy = None;
+    setup
+        .status
+        .update(|status| status.rounds = (0, params.n_rounds));
+    let progress = |iteration: &crate::refine::Iteration| {
+        let first = *first_energy.get_or_insert(iteration.energy_before);
+        setup.status.update(|status| {
+            status.rounds.0 = iteration.round + 1;
+            status.n_steps += 1;
+            status.energy_share = iteration.energy_after / first;
+        });
+        !setup.stop.is_stopped()
+    };
+    refine(&scan.base, object, snapshots, &optics, params, progress)
+        .map_err(|error| error.to_string())
+}

@@ -1,0 +1,232 @@
+//! The report of a run, put together from what every thread says at its end.
+
+use super::{
+    deliver::{Account, BASE_PLY, REFINED_PLY},
+    edges::DropCounts,
+    fusion_stage::FusionSummary,
+    refine_stage::RefineSummary,
+    timing,
+};
+use crate::{
+    capture::CaptureSummary,
+    export::{
+        AlbedoShare, BaseMesh, FrameCounts, Iteration, RefinedMesh, RefinedView, Report, Tracking,
+    },
+    geometry::{EdgeAdjacency, TriMesh},
+    refine::{RefineStatus, Refinement},
+    snapshot::ShadingSnapshot,
+};
+use depth_camera::CameraInfo;
+use std::{collections::BTreeMap, sync::atomic::Ordering};
+
+/// Materials listed at most.
+const MAX_MATERIALS: usize = 8;
+
+/// What a run is about, known from its start.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// Name of the recording or scan.
+    pub session: String,
+    /// The camera.
+    pub info: CameraInfo,
+    /// Where the calibration of the IR image comes from.
+    pub calibration: String,
+    /// What the operator should know from the start.
+    pub warnings: Vec<String>,
+    /// Where the outputs go, as the operator named it.
+    pub folder: std::path::PathBuf,
+}
+
+/// What every thread says at its end.
+pub struct Endings<'a> {
+    /// The device thread.
+    pub capture: &'a CaptureSummary,
+    /// What the edges dropped.
+    pub drops: &'a DropCounts,
+    /// The fusion thread.
+    pub fusion: &'a FusionSummary,
+    /// The refinement thread.
+    pub refined: &'a RefineSummary,
+    /// Whether somebody asked to stop.
+    pub stopped_early: bool,
+}
+
+/// Puts the report together, but for its list of outputs.
+pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Report {
+    let Endings {
+        fusion, refined, ..
+    } = endings;
+    let base = fusion.scan.as_ref().map(|scan| &scan.base);
+    let path = |name: &str| subject.folder.join(name).display().to_string();
+    let refined_mesh = refined.refinement.as_ref().map(|refinement| {
+        let snapshots = fusion.scan.iter().flat_map(|scan| &scan.snapshots);
+        let snapshots: Vec<&ShadingSnapshot> = snapshots.flat_map(|s| &s.accepted).collect();
+        refined_mesh(refinement, &snapshots, path(REFINED_PLY))
+    });
+    Report {
+        session: subject.session.clone(),
+        sensor: subject.info.sensor.name().to_owned(),
+        serial: subject.info.serial.clone(),
+        relief_version: env!("CARGO_PKG_VERSION").to_owned(),
+        calibration: subject.calibration.clone(),
+        stopped_early: endings.stopped_early,
+        frames: frame_counts(endings),
+        tracking: Tracking {
+            path_length_m: fusion.path_length_m,
+            lost_spans: fusion.losses.spans().to_vec(),
+        },
+        base_mesh: base.map_or_else(BaseMesh::default, |mesh| BaseMesh {
+            vertices: mesh.vertices.len(),
+            faces: mesh.faces.len(),
+            area_m2: mesh.area_m2(),
+            path: path(BASE_PLY),
+        }),
+        refined_mesh,
+        not_refined_reason: refined.not_refined_reason.clone(),
+        warnings: warnings(subject, endings, account),
+        timings: [fusion.timings.as_slice(), refined.timings.as_slice()].concat(),
+        peak_memory_bytes: timing::peak_memory_bytes(),
+        outputs: account
+            .outputs
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect(),
+    }
+}
+
+/// What became of the frames: every frame that the device delivered is counted once.
+pub fn frame_counts(endings: &Endings) -> FrameCounts {
+    let Endings {
+        capture, fusion, ..
+    } = endings;
+    FrameCounts {
+        total: capture.n_frames,
+        fused: fusion.n_fused,
+        lost: fusion.n_lost,
+        damaged: capture.n_damaged,
+        dropped: endings.drops.frames.load(Ordering::Relaxed),
+        without_depth: fusion.n_without_depth,
+    }
+}
+
+fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<String> {
+    let mut warnings = subject.warnings.clone();
+    let capture = endings.capture;
+    if endings.stopped_early {
+        let of = match subject.info.n_frames {
+            Some(n_frames) => format!(" of {n_frames}"),
+            None => String::new(),
+        };
+        warnings.push(format!(
+            "the run was stopped early, after {}{of} frames",
+            capture.n_frames
+        ));
+    }
+    if let Some(first) = &capture.first_damage {
+        warnings.push(format!(
+            "{} frames came damaged and were skipped; the first: {first}",
+            capture.n_damaged
+        ));
+    }
+    let unrecorded = endings.drops.recorded_frames.load(Ordering::Relaxed);
+    let without_ir = endings.drops.recorded_ir.load(Ordering::Relaxed);
+    if unrecorded + without_ir > 0 {
+        warnings.push(format!(
+            "the disk was too slow: {unrecorded} frames were not recorded, {without_ir} without infrared"
+        ));
+    }
+    warnings.extend_from_slice(&account.failures);
+    warnings
+}
+
+fn refined_mesh(
+    refinement: &Refinement,
+    snapshots: &[&ShadingSnapshot],
+    path: String,
+) -> RefinedMesh {
+    let mesh = &refinement.mesh;
+    let views: Vec<RefinedView> = refinement
+        .views
+        .iter()
+        .zip(snapshots)
+        .map(|(view, snapshot)| RefinedView {
+            frame_id: snapshot.frame_id,
+            time_secs: snapshot.device_time_secs,
+            gain: view.gain,
+            shift_px: view.shift_px,
+            rmse_before: view.rmse_before,
+            rmse_after: view.rmse_after,
+            n_sites: view.n_sites,
+        })
+        .collect();
+    RefinedMesh {
+        vertices: mesh.vertices.len(),
+        faces: mesh.faces.len(),
+        area_m2: mesh.area_m2(),
+        path,
+        status: status_name(refinement.status).to_owned(),
+        iterations: refinement
+            .iterations
+            .iter()
+            .map(|iteration| Iteration {
+                energy_before: iteration.energy_before,
+                energy_after: iteration.energy_after,
+                max_step_m: iteration.max_step_m,
+                damping: iteration.damping,
+            })
+            .collect(),
+        edge_length_m: mean_edge_length_m(mesh),
+        albedo: materials(mesh, &refinement.albedo),
+        rmse_before: over_all(&views, |view| view.rmse_before),
+        rmse_after: over_all(&views, |view| view.rmse_after),
+        views,
+    }
+}
+
+fn status_name(status: RefineStatus) -> &'static str {
+    match status {
+        RefineStatus::Converged => "converged",
+        RefineStatus::IterationLimit => "iteration limit",
+        RefineStatus::Stalled => "stalled",
+        RefineStatus::Cancelled => "cancelled",
+        RefineStatus::Singular => "singular",
+    }
+}
+
+/// Root mean square over the sites of all views.
+fn over_all(views: &[RefinedView], rmse: impl Fn(&RefinedView) -> f64) -> f64 {
+    let seeing = || views.iter().filter(|view| view.n_sites > 0);
+    let n_sites: usize = seeing().map(|view| view.n_sites).sum();
+    let square: f64 = seeing()
+        .map(|view| view.n_sites as f64 * rmse(view) * rmse(view))
+        .sum();
+    (square / n_sites as f64).sqrt()
+}
+
+fn mean_edge_length_m(mesh: &TriMesh) -> f64 {
+    let edges = EdgeAdjacency::new(mesh).edges;
+    let length = |[a, b]: &[u32; 2]| {
+        nalgebra::distance(&mesh.vertices[*a as usize], &mesh.vertices[*b as usize])
+    };
+    edges.iter().map(length).sum::<f64>() / edges.len() as f64
+}
+
+/// The albedos that occur, each with its share of the surface, the largest share first.
+fn materials(mesh: &TriMesh, albedo: &[f64]) -> Vec<AlbedoShare> {
+    let mut areas: BTreeMap<u64, f64> = BTreeMap::new();
+    for (face, &[vertex, ..]) in mesh.faces.iter().enumerate() {
+        let area_m2 = 0.5 * mesh.face_normal(face).norm();
+        *areas.entry(albedo[vertex as usize].to_bits()).or_default() += area_m2;
+    }
+    let total: f64 = areas.values().sum();
+    let mut shares: Vec<AlbedoShare> = areas
+        .into_iter()
+        .map(|(bits, area_m2)| AlbedoShare {
+            albedo: f64::from_bits(bits),
+            area_share: area_m2 / total,
+        })
+        .collect();
+    shares.sort_by(|a, b| b.area_share.total_cmp(&a.area_share));
+    shares.truncate(MAX_MATERIALS);
+    shares
+}

@@ -1,0 +1,190 @@
+//! What is wrong is said: which file, which key, which value, which bound, and by the exit code.
+
+use crate::support::{PROGRAM, Workbench, assert_says, record, small_camera, summary};
+use std::{fs, process::Command};
+
+#[test]
+fn damaged_images_cost_their_own_frame_only() {
+    let bench = Workbench::with_frames(5);
+    let list = fs::read_to_string(bench.session().join("depth.txt")).unwrap();
+    let images: Vec<_> = list
+        .lines()
+        .filter_map(|line| line.split_once(" depth/"))
+        .map(|(_, name)| bench.session().join("depth").join(name))
+        .collect();
+    fs::remove_file(&images[1]).unwrap();
+    let bytes = fs::read(&images[2]).unwrap();
+    fs::write(&images[2], &bytes[..bytes.len() / 2]).unwrap();
+    let other = bench.path("other");
+    record(small_camera(1, 3), &other);
+    let stranger = fs::read_dir(other.join("depth")).unwrap().next().unwrap();
+    fs::copy(stranger.unwrap().path(), &images[3]).unwrap();
+
+    let output = bench.replay(&[]);
+    assert_says(
+        &output,
+        0,
+        &[images[1].to_str().unwrap(), "expected 128×106"],
+    );
+    let frames = &summary(&output)["frames"];
+    assert_eq!(
+        (&frames["total"], &frames["damaged"]),
+        (&5.into(), &3.into())
+    );
+    assert_eq!(frames["fused"], 2);
+}
+
+#[test]
+fn a_description_that_makes_no_sense_is_refused() {
+    for (old, new, pieces) in [
+        (
+            "sensor = \"kinect2\"",
+            "sensor = \"kinect3\"",
+            [
+                "session.toml",
+                "sensor is \"kinect3\", must be \"kinect1\" or",
+            ],
+        ),
+        (
+            "fx = ",
+            "fx = 0.0 # ",
+            ["session.toml", "ir_camera.fx is 0, must be positive"],
+        ),
+    ] {
+        let bench = Workbench::with_frames(1);
+        bench.edit("session.toml", old, new);
+        let output = bench.replay(&[]);
+        assert_says(&output, 1, &pieces);
+        assert_eq!(summary(&output)["status"], "failed");
+        assert!(!bench.path("out").exists());
+    }
+}
+
+#[test]
+fn times_must_increase() {
+    for second in ["99.000000", "100.000000"] {
+        let bench = Workbench::with_frames(2);
+        bench.edit("depth.txt", "100.033333", second);
+        let message = format!(
+            "timestamp {} follows 100, must be later",
+            second.trim_end_matches('0').trim_end_matches('.')
+        );
+        assert_says(&bench.replay(&[]), 1, &["depth.txt: line 3", &message]);
+    }
+}
+
+#[test]
+fn poses_must_be_numbers_and_frames_without_one_are_lost() {
+    let bench = Workbench::with_frames(2);
+    let bad = bench.write("bad.txt", "100.0 0 0 0 0 0 0 1\n100.03 nan 0 0 0 0 0 1\n");
+    let output = bench.replay(&["--poses", bad.to_str().unwrap()]);
+    assert_says(&output, 1, &["bad.txt: line 2", "tx"]);
+
+    let one = bench.write("one.txt", "100.01 0 0 0 0 0 0 1\n");
+    let output = bench.replay(&["--poses", one.to_str().unwrap()]);
+    assert_says(&output, 0, &["no given pose within 20 ms"]);
+    let frames = &summary(&output)["frames"];
+    assert_eq!((&frames["fused"], &frames["lost"]), (&1.into(), &1.into()));
+}
+
+#[test]
+fn a_session_without_depth_in_range_fails_with_its_counts() {
+    let bench = Workbench::with_frames(3);
+    let config = bench.write(
+        "near.toml",
+        "[fusion]\ndepth_min_m = 0.1\ndepth_max_m = 0.16\n",
+    );
+    let output = bench.replay(&["--config", config.to_str().unwrap()]);
+    assert_says(
+        &output,
+        1,
+        &["no frame of session could be fused: 3 frames, of which 0 damaged, 3 without depth"],
+    );
+    assert_eq!(summary(&output)["status"], "failed");
+}
+
+#[test]
+fn an_output_folder_must_be_new_and_belong_to_one_run() {
+    let bench = Workbench::with_frames(1);
+    let out = bench.path("out");
+    fs::create_dir(&out).unwrap();
+    fs::write(out.join("thesis.tex"), "").unwrap();
+    assert_says(&bench.replay(&[]), 1, &["is not empty; name a new one"]);
+    fs::remove_file(out.join("thesis.tex")).unwrap();
+    fs::write(out.join(".relief.lock"), "").unwrap();
+    assert_says(&bench.replay(&[]), 1, &["is in use by another run"]);
+}
+
+#[test]
+fn an_output_folder_that_cannot_be_made_is_named() {
+    let bench = Workbench::with_frames(1);
+    bench.write("out", "a file");
+    assert_says(
+        &bench.replay(&[]),
+        1,
+        &["cannot use output folder", "/out: "],
+    );
+}
+
+/// A limit on the size of files stands in for a full disk: both fail in the middle of a file.
+#[test]
+fn a_file_that_does_not_fit_is_named_and_leaves_nothing_behind() {
+    let bench = Workbench::with_frames(3);
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 64; exec {PROGRAM} replay {} --out {} --no-refine",
+        bench.session().display(),
+        bench.path("out").display()
+    );
+    let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+    assert_says(&output, 1, &["base.ply: ", "os error 27", "report"]);
+    let out = bench.path("out");
+    for name in ["base.ply", ".base.ply.partial", ".relief.lock"] {
+        assert!(!out.join(name).exists(), "{name}");
+    }
+    assert!(out.join("trajectory.txt").is_file());
+}
+
+#[test]
+fn configuration_and_calibration_are_checked_before_anything_is_made() {
+    let bench = Workbench::with_frames(1);
+    let calibration = include_str!("../../config/calibration-kinect2.toml");
+    for (flag, text, pieces) in [
+        (
+            "--config",
+            "[fusion]\nvoxel_size_m = -1.0\n".to_owned(),
+            ["bad.toml: ", "fusion.voxel_size_m is -1, must be 0.0005 to"],
+        ),
+        (
+            "--config",
+            "[refine]\nn_roundz = 1\n".to_owned(),
+            ["bad.toml: TOML parse error at line 2", "n_roundz"],
+        ),
+        (
+            "--calibration",
+            calibration.replace("gamma = 0.87", "gamma = 9.0"),
+            ["bad.toml: ", "gamma is 9, must be 0.2 to 3"],
+        ),
+    ] {
+        let file = bench.write("bad.toml", &text);
+        let output = bench.replay(&[flag, file.to_str().unwrap()]);
+        assert_says(&output, 2, &pieces);
+        assert!(!bench.path("out").exists());
+    }
+}
+
+#[test]
+fn flags_are_checked() {
+    let bench = Workbench::with_frames(1);
+    for (flag, value, piece) in [
+        ("--roi", "0,0,0,1,1", "5 numbers, must be 6"),
+        ("--roi", "0,0,2,1,1,1", "zmin is 2, must be below zmax, 1"),
+        ("--voxel-size", "0", "fusion.voxel_size_m is 0, must be"),
+        ("--max-snapshots", "0", "max_snapshots is 0, must be"),
+        ("--threads", "0", "--threads"),
+    ] {
+        assert_says(&bench.replay(&[flag, value]), 2, &[piece]);
+    }
+    let missing = bench.path("nowhere.toml");
+    let output = bench.replay(&["--config", missing.to_str().unwrap()]);
+    assert_says(&output, 2, &["nowhere.toml: No such file"]);
+}

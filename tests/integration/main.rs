@@ -1,0 +1,11 @@
+//! The stages together: recordings through the real pipeline and the real program, and the rules on who may know whom.
+#![allow(clippy::unwrap_used, reason = "a test may fail anywhere")]
+
+mod layering;
+
+mod end_to_end;
+
+mod bad_input;
+mod signals;
+
+mod support;

@@ -1,0 +1,89 @@
+//! A signal ends a run in order.
+
+use crate::support::{PROGRAM, Workbench};
+use serde_json::Value;
+use std::{
+    fmt::Write,
+    fs,
+    path::Path,
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+/// Generous: a busy machine is no fault.
+const GRACE: Duration = Duration::from_secs(30);
+
+/// Looks again and again until there is an answer.
+fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + GRACE;
+    loop {
+        if let Some(answer) = look() {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Lists the images of a recording over and over, a minute long.
+fn prolong(session: &Path) {
+    for kind in ["depth", "ir"] {
+        let path = session.join(format!("{kind}.txt"));
+        let list = fs::read_to_string(&path).unwrap();
+        let image = list.lines().last().unwrap().split_once(' ').unwrap().1;
+        let mut longer = String::new();
+        for frame in 0..1800 {
+            writeln!(longer, "{:.6} {image}", 100.0 + f64::from(frame) / 30.0).unwrap();
+        }
+        fs::write(path, longer).unwrap();
+    }
+}
+
+fn start(bench: &Workbench) -> Child {
+    Command::new(PROGRAM)
+        .arg("replay")
+        .arg(bench.session())
+        .arg("--out")
+        .arg(bench.path("out"))
+        .arg("--realtime")
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn a_run_that_is_told_to_stop_keeps_what_it_has() {
+    for signal in ["-TERM", "-INT"] {
+        let bench = Workbench::with_frames(1);
+        prolong(&bench.session());
+        let mut child = start(&bench);
+        let out = bench.path("out");
+        poll("the first shading image", || {
+            let events = fs::read_to_string(out.join("events.jsonl")).ok()?;
+            events.contains("snapshot").then_some(())
+        });
+        let pid = child.id().to_string();
+        let killed = Command::new("kill").args([signal, &pid]).status().unwrap();
+        assert!(killed.success());
+        let status = poll("the end", || child.try_wait().unwrap());
+
+        assert_eq!(status.code(), Some(130), "{signal}");
+        for name in ["base.ply", "trajectory.txt", "report.html"] {
+            assert!(out.join(name).is_file(), "{name}");
+        }
+        assert!(!out.join(".relief.lock").exists());
+        let report = fs::read(out.join("report.json")).unwrap();
+        let report: Value = serde_json::from_slice(&report).unwrap();
+        assert_eq!(report["stopped_early"], true);
+        let frames = &report["frames"];
+        let count = |key: &str| frames[key].as_u64().unwrap();
+        assert!(count("total") < 1800);
+        let accounted = ["fused", "lost", "damaged", "dropped", "without_depth"]
+            .iter()
+            .map(|key| count(key))
+            .sum::<u64>();
+        assert_eq!(accounted, count("total"));
+    }
+}
