@@ -22,7 +22,7 @@ impl Couplings {
     /// Finds the couplings of a mesh with edges and patches.
     pub fn new(mesh: &TriMesh, edges: &EdgeAdjacency, patches: &[Patch]) -> Couplings {
         let mut pairs = edges.edges.clone();
-        pairs.extend(patches.iter().flat_map(|patch| pairs_of(patch)));
+        pairs.extend(patches.iter().flat_map(pairs_of));
         pairs.par_sort_unstable();
         pairs.dedup();
         let find = |pair: &[u32; 2]| {
