@@ -4,7 +4,8 @@
 //! predicts what every shading image shows. Each outer round re-estimates visibility, the pose and gain of each view, the
 //! albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed normals.
 //!
-//! Not handled: several albedos, interreflection, specular highlights beyond what the robust loss rejects.
+//! Not handled: the emitter's own offset, interreflection beyond what the gain field takes up, specular highlights beyond
+//! what the robust loss rejects.
 
 mod albedo;
 mod alignment;
@@ -17,8 +18,12 @@ mod params;
 mod patches;
 pub mod remesh;
 mod rounds;
+#[cfg(test)]
+mod scenes;
 mod sites;
 mod solver;
+#[cfg(test)]
+mod tests;
 mod view;
 
 pub use alignment::AlignmentParams;
@@ -69,6 +74,8 @@ pub struct Refinement {
     pub albedo: Vec<f64>,
     /// Albedo of each group of facets and the share of the facets in it.
     pub albedo_groups: Vec<(f64, f64)>,
+    /// Edge length of the mesh, metres.
+    pub edge_length_m: f64,
     /// How it ended.
     pub status: RefineStatus,
     /// Every accepted step.
@@ -122,13 +129,11 @@ pub fn refine(
             n_views: snapshots.len(),
         });
     }
-    let remeshed = remesh(
-        object,
-        &RemeshParams {
-            edge_length_m: params.edge_length_m,
-            n_rounds: 5,
-        },
-    );
+    let params = &RefineParams {
+        edge_length_m: params.edge_length_for(object.area_m2()),
+        ..params.clone()
+    };
+    let remeshed = remesh(object, &RemeshParams::new(params.edge_length_m));
     if remeshed.faces.is_empty() {
         return Err(RefineError::NoSurface);
     }
@@ -206,6 +211,7 @@ pub fn refine(
     Ok(Refinement {
         albedo: albedo.by_vertex(&surface.mesh),
         albedo_groups: albedo.groups.iter().copied().zip(albedo.shares()).collect(),
+        edge_length_m: params.edge_length_m,
         status,
         iterations,
         views: fits.collect(),

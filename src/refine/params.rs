@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct RefineParams {
     /// Edge length of the refined mesh, metres; about the footprint of a pixel.
     pub edge_length_m: f64,
+    /// A larger object is remeshed more coarsely, so as to have no more vertices than this.
+    pub max_vertices: usize,
     /// Outer rounds, Eq. (9).
     pub n_rounds: usize,
     /// Accepted Levenberg–Marquardt steps a round at most.
@@ -32,6 +34,7 @@ impl Default for RefineParams {
     fn default() -> Self {
         RefineParams {
             edge_length_m: 0.0013,
+            max_vertices: 250_000,
             n_rounds: 4,
             max_steps: 4,
             patch_m: 0.02,
@@ -51,6 +54,7 @@ impl RefineParams {
     pub fn validate(&self) -> Result<(), String> {
         for (key, value, low, high) in [
             ("edge_length_m", self.edge_length_m, 0.0003, 0.05),
+            ("max_vertices", self.max_vertices as f64, 100.0, 5e6),
             ("n_rounds", self.n_rounds as f64, 1.0, 50.0),
             ("max_steps", self.max_steps as f64, 1.0, 50.0),
             ("patch_sigma_m", self.patch_sigma_m, 1e-6, 0.1),
@@ -83,5 +87,14 @@ impl RefineParams {
             }
         }
         Ok(())
+    }
+}
+
+impl RefineParams {
+    /// Edge length for an object of this area, metres: as configured, or longer where that would make too many vertices.
+    pub fn edge_length_for(&self, area_m2: f64) -> f64 {
+        // A vertex of an equilateral mesh has the area √3/2 h².
+        self.edge_length_m
+            .max((area_m2 / (0.866 * self.max_vertices as f64)).sqrt())
     }
 }

@@ -1,0 +1,184 @@
+//! Tiny scenes with closed-form answers for the tests of refinement.
+
+use super::view::{ImageTrust, Optics, View, ViewContext};
+use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, increment};
+use crate::shading::{Calibration, falloff};
+use crate::snapshot::ShadingSnapshot;
+use depth_camera::{Image, Intrinsics, Sensor};
+use nalgebra::{Point3, Vector3, Vector6};
+
+/// Full scale of the rendered counts.
+pub const FULL_SCALE: f64 = 65535.0;
+/// Albedo times light of the rendered surface, m².
+pub const ALBEDO: f64 = 0.12;
+/// Distance of the surface from the camera, metres.
+const DISTANCE_M: f64 = 0.6;
+
+/// A patch of 80 mm with ripples of a given amplitude and a wavelength of 12 mm, facing the camera at 0.6 m.
+pub struct RippledPlane {
+    /// Amplitude of the ripples, metres.
+    pub amplitude_m: f64,
+}
+
+impl RippledPlane {
+    /// Depth of the surface at a place.
+    fn depth(&self, x: f64, y: f64) -> f64 {
+        let k = 2.0 * std::f64::consts::PI / 0.012;
+        DISTANCE_M + self.amplitude_m * (k * x).sin() * (k * y).cos()
+    }
+
+    /// Normal of the surface at a place, towards the camera.
+    pub fn normal(&self, x: f64, y: f64) -> Vector3<f64> {
+        let step = 1e-6;
+        let slope_x = (self.depth(x + step, y) - self.depth(x - step, y)) / (2.0 * step);
+        let slope_y = (self.depth(x, y + step) - self.depth(x, y - step)) / (2.0 * step);
+        Vector3::new(slope_x, slope_y, -1.0)
+            .try_normalize(0.0)
+            .expect("z is -1")
+    }
+
+    /// The surface as a mesh of equilateral faces with edges of `edge_m`.
+    pub fn mesh(&self, edge_m: f64) -> TriMesh {
+        let half = 0.04;
+        let row_m = edge_m * 0.75f64.sqrt();
+        let (columns, rows) = (
+            (2.0 * half / edge_m) as usize,
+            (2.0 * half / row_m) as usize,
+        );
+        let mut mesh = TriMesh::default();
+        for row in 0..rows {
+            for column in 0..columns {
+                let x = (column as f64 + 0.5 * (row % 2) as f64) * edge_m - half;
+                let y = row as f64 * row_m - half;
+                mesh.vertices.push(Point3::new(x, y, self.depth(x, y)));
+            }
+        }
+        let at = |row: usize, column: usize| (row * columns + column) as u32;
+        for row in 0..rows - 1 {
+            for column in 0..columns - 1 {
+                let (a, b) = (at(row, column), at(row, column + 1));
+                let (c, d) = (at(row + 1, column), at(row + 1, column + 1));
+                // Counter-clockwise seen from the camera, which looks along z with y down.
+                if row % 2 == 0 {
+                    mesh.faces.extend([[a, c, b], [b, c, d]]);
+                } else {
+                    mesh.faces.extend([[a, d, b], [a, c, d]]);
+                }
+            }
+        }
+        mesh
+    }
+
+    /// What a camera at a pose sees of it: Eq. (1) on the closed form, at pixel centres.
+    pub fn snapshot(&self, optics: &Optics, world_from_camera: &Pose) -> ShadingSnapshot {
+        let camera = optics.rays.camera().intrinsics();
+        let (mut counts, mut depths) = (Vec::new(), Vec::new());
+        for [x, y] in optics.rays.rays().data() {
+            let (depth, value) = self.render(*x as f64, *y as f64, optics, world_from_camera);
+            depths.push(depth as f32);
+            counts.push(value as f32);
+        }
+        ShadingSnapshot {
+            frame_id: 0,
+            device_time_secs: 0.0,
+            n_exposures: 1,
+            ir_counts: Image::from_vec(camera.width, camera.height, counts),
+            depth_m: Image::from_vec(camera.width, camera.height, depths),
+            world_from_camera: *world_from_camera,
+        }
+    }
+
+    /// Depth and counts along a ray.
+    fn render(&self, x: f64, y: f64, optics: &Optics, world_from_camera: &Pose) -> (f64, f64) {
+        let direction = world_from_camera.rotation * Vector3::new(x, y, 1.0);
+        let origin = world_from_camera.translation.vector;
+        let mut depth = DISTANCE_M;
+        for _ in 0..30 {
+            let p = origin + direction * depth;
+            depth += (self.depth(p.x, p.y) - p.z) / direction.z;
+        }
+        let p = Point3::from(origin + direction * depth);
+        let light = world_from_camera * optics.light_camera;
+        let linear = ALBEDO * falloff(&p, &self.normal(p.x, p.y), &light).max(0.0);
+        let flat = optics.calibration.flat_field.factor(x, y);
+        (
+            depth,
+            FULL_SCALE * (linear * flat).powf(optics.calibration.gamma),
+        )
+    }
+}
+
+/// Rays of a 200×160 camera whose pixels cover 1.2 mm at 0.6 m.
+pub fn rays() -> RayGrid {
+    RayGrid::new(CameraModel::new(Intrinsics {
+        width: 200,
+        height: 160,
+        fx: 500.0,
+        fy: 500.0,
+        cx: 99.5,
+        cy: 79.5,
+        k1: 0.05,
+        k2: -0.1,
+        p1: 0.0,
+        p2: 0.0,
+        k3: 0.0,
+    }))
+}
+
+/// The calibration of the scenes.
+pub fn calibration() -> Calibration {
+    Calibration::shipped(Sensor::Kinect2).expect("shipped")
+}
+
+/// Optics over given rays and calibration.
+pub fn optics<'a>(rays: &'a RayGrid, calibration: &'a Calibration) -> Optics<'a> {
+    Optics {
+        rays,
+        light_camera: Point3::new(0.05, 0.0, 0.004),
+        full_scale: FULL_SCALE,
+        calibration,
+    }
+}
+
+/// Cameras that look at the middle of the surface from the front, tilted to all sides by `tilt_rad`.
+pub fn poses(tilt_rad: f64) -> Vec<Pose> {
+    [
+        (0.0, 0.0),
+        (1.0, 0.0),
+        (-1.0, 0.0),
+        (0.0, 1.0),
+        (0.0, -1.0),
+        (0.7, 0.7),
+        (-0.7, 0.7),
+    ]
+    .iter()
+    .map(|(x, y)| {
+        let turn = increment(&Vector6::new(
+            x * tilt_rad,
+            y * tilt_rad,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ));
+        let centre = nalgebra::Translation3::new(0.0, 0.0, DISTANCE_M);
+        centre * turn * centre.inverse()
+    })
+    .collect()
+}
+
+/// Views of a rippled plane whose `hidden` surface was rendered, placed against the mesh `base`.
+pub fn views(hidden: &RippledPlane, base: &TriMesh, optics: &Optics, poses: &[Pose]) -> Vec<View> {
+    let trust = ImageTrust::default();
+    let centre = Point3::new(0.0, 0.0, DISTANCE_M);
+    let context = ViewContext {
+        scene: base,
+        centre,
+        optics,
+        trust: &trust,
+    };
+    poses
+        .iter()
+        .map(|pose| View::new(&hidden.snapshot(optics, pose), &context))
+        .collect()
+}
