@@ -78,9 +78,22 @@ impl Outbox {
         self.write(REFINED_GLB, |path| write_glb(path, mesh, &normals, albedo));
     }
 
-    /// Writes the shading images.
-    pub fn snapshots(&self, snapshots: &[ShadingSnapshot], info: &CameraInfo) {
-        let images: Vec<(Image<u16>, Image<u8>)> = snapshots.iter().map(counts_and_mask).collect();
+    /// Writes the shading images. `masks` says for each which pixels refinement could use; before there are any, the mask
+    /// says where there is depth.
+    pub fn snapshots(
+        &self,
+        snapshots: &[ShadingSnapshot],
+        masks: Option<&[Image<u8>]>,
+        info: &CameraInfo,
+    ) {
+        let images: Vec<(Image<u16>, Image<u8>)> = snapshots
+            .iter()
+            .enumerate()
+            .map(|(k, snapshot)| {
+                let mask = masks.map_or_else(|| depth_mask(snapshot), |masks| masks[k].clone());
+                (counts(snapshot), mask)
+            })
+            .collect();
         let records: Vec<SnapshotRecord> = snapshots
             .iter()
             .zip(&images)
@@ -129,7 +142,11 @@ impl Outbox {
         match write(&path) {
             Ok(()) => {
                 tracing::debug!(path = %path.display(), "written");
-                self.with_account(|account| account.outputs.push(path));
+                self.with_account(|account| {
+                    if !account.outputs.contains(&path) {
+                        account.outputs.push(path);
+                    }
+                });
             }
             Err(error) => self.fail(error.to_string()),
         }
@@ -141,11 +158,14 @@ impl Outbox {
     }
 }
 
-/// The image as it is written, and where it has depth to go with it.
-fn counts_and_mask(snapshot: &ShadingSnapshot) -> (Image<u16>, Image<u8>) {
-    let counts = snapshot.ir_counts.map(|&counts| counts.round() as u16);
-    let mask = snapshot.depth_m.map(|&z| if z > 0.0 { 255 } else { 0 });
-    (counts, mask)
+/// The image as it is written.
+fn counts(snapshot: &ShadingSnapshot) -> Image<u16> {
+    snapshot.ir_counts.map(|&counts| counts.round() as u16)
+}
+
+/// Where a snapshot has depth to go with it.
+fn depth_mask(snapshot: &ShadingSnapshot) -> Image<u8> {
+    snapshot.depth_m.map(|&z| if z > 0.0 { 255 } else { 0 })
 }
 
 fn meta(snapshot: &ShadingSnapshot, info: &CameraInfo) -> Value {

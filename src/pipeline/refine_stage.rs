@@ -68,7 +68,7 @@ pub fn run(
     // The base mesh first: whatever happens later, it is there.
     export_clock.time(|| outbox.base_mesh(&scan));
     let refined = shading_images(setup, &scan).and_then(|snapshots| {
-        export_clock.time(|| outbox.snapshots(snapshots, &setup.info));
+        export_clock.time(|| outbox.snapshots(snapshots, None, &setup.info));
         let object = object_clock.time(|| setup.pool.install(|| object_of(setup, &scan)))?;
         let object = summary.object.insert(object);
         setup.status.update(|status| status.phase = Phase::Refining);
@@ -89,7 +89,12 @@ pub fn run(
                 steps = refinement.iterations.len(),
                 "surface refined"
             );
-            export_clock.time(|| outbox.refined_mesh(&refinement));
+            export_clock.time(|| {
+                outbox.refined_mesh(&refinement);
+                if let Some(selection) = &scan.snapshots {
+                    outbox.snapshots(&selection.accepted, Some(&refinement.masks), &setup.info);
+                }
+            });
             summary.refinement = Some(refinement);
         }
         Err(reason) => {

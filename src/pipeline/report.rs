@@ -12,15 +12,11 @@ use crate::{
     export::{
         AlbedoShare, BaseMesh, FrameCounts, Iteration, RefinedMesh, RefinedView, Report, Tracking,
     },
-    geometry::{EdgeAdjacency, TriMesh},
     refine::{RefineStatus, Refinement},
     snapshot::ShadingSnapshot,
 };
 use depth_camera::CameraInfo;
-use std::{collections::BTreeMap, sync::atomic::Ordering};
-
-/// Materials listed at most.
-const MAX_MATERIALS: usize = 8;
+use std::sync::atomic::Ordering;
 
 /// What a run is about, known from its start.
 #[derive(Clone, Debug)]
@@ -175,8 +171,12 @@ fn refined_mesh(
                 damping: iteration.damping,
             })
             .collect(),
-        edge_length_m: mean_edge_length_m(mesh),
-        albedo: materials(mesh, &refinement.albedo),
+        edge_length_m: refinement.edge_length_m,
+        albedo: refinement
+            .albedo_groups
+            .iter()
+            .map(|&(albedo, area_share)| AlbedoShare { albedo, area_share })
+            .collect(),
         rmse_before: over_all(&views, |view| view.rmse_before),
         rmse_after: over_all(&views, |view| view.rmse_after),
         views,
@@ -201,32 +201,4 @@ fn over_all(views: &[RefinedView], rmse: impl Fn(&RefinedView) -> f64) -> f64 {
         .map(|view| view.n_sites as f64 * rmse(view) * rmse(view))
         .sum();
     (square / n_sites as f64).sqrt()
-}
-
-fn mean_edge_length_m(mesh: &TriMesh) -> f64 {
-    let edges = EdgeAdjacency::new(mesh).edges;
-    let length = |[a, b]: &[u32; 2]| {
-        nalgebra::distance(&mesh.vertices[*a as usize], &mesh.vertices[*b as usize])
-    };
-    edges.iter().map(length).sum::<f64>() / edges.len() as f64
-}
-
-/// The albedos that occur, each with its share of the surface, the largest share first.
-fn materials(mesh: &TriMesh, albedo: &[f64]) -> Vec<AlbedoShare> {
-    let mut areas: BTreeMap<u64, f64> = BTreeMap::new();
-    for (face, &[vertex, ..]) in mesh.faces.iter().enumerate() {
-        let area_m2 = 0.5 * mesh.face_normal(face).norm();
-        *areas.entry(albedo[vertex as usize].to_bits()).or_default() += area_m2;
-    }
-    let total: f64 = areas.values().sum();
-    let mut shares: Vec<AlbedoShare> = areas
-        .into_iter()
-        .map(|(bits, area_m2)| AlbedoShare {
-            albedo: f64::from_bits(bits),
-            area_share: area_m2 / total,
-        })
-        .collect();
-    shares.sort_by(|a, b| b.area_share.total_cmp(&a.area_share));
-    shares.truncate(MAX_MATERIALS);
-    shares
 }
