@@ -120,6 +120,8 @@ pub struct Fit {
     pub rmse_m: f64,
     /// Smallest over largest eigenvalue of the normal equations: near zero the geometry lets the camera slide.
     pub conditioning: f64,
+    /// Share of the frame's points that lie behind a surface of the model: the camera would look through it.
+    pub see_through_share: f64,
 }
 
 /// What the frame is aligned to.
@@ -171,8 +173,37 @@ pub fn align(
         inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
         rmse_m: (equations.weighted_square / equations.weight.max(f64::MIN_POSITIVE)).sqrt(),
         conditioning: equations.conditioning(0.5),
+        see_through_share: see_through_share(&levels[1], model, &world_from_camera),
     };
     Some((world_from_camera, fit))
+}
+
+/// Points this many truncation distances behind the model's surface count as seen through it.
+const BEHIND_TRUNCATIONS: f64 = 2.0;
+
+/// Share of a frame's points that lie behind the model's surface, as seen from where the model was raycast.
+fn see_through_share(live: &VertexMap, model: &Model, world_from_camera: &Pose) -> f64 {
+    let map_from_world = model.world_from_camera.inverse();
+    let map_from_camera = map_from_world * world_from_camera;
+    let margin = BEHIND_TRUNCATIONS * model.volume.truncation_m() as f64;
+    let (mut n_seen, mut n_behind) = (0usize, 0usize);
+    for point in live.points.data().iter().filter(|point| point.z > 0.0) {
+        let point_map = map_from_camera * Point3::from(point.cast::<f64>());
+        let Some(pixel) = model.map_camera.project(&point_map) else {
+            continue;
+        };
+        if !model.map_camera.contains(&pixel, 0.0) {
+            continue;
+        }
+        let (u, v) = ((pixel.x + 0.5) as usize, (pixel.y + 0.5) as usize);
+        if *model.map.normals.at(u, v) == Vector3::zeros() {
+            continue;
+        }
+        let surface = map_from_world * Point3::from(model.map.points.at(u, v).cast::<f64>());
+        n_seen += 1;
+        n_behind += usize::from(point_map.z > surface.z + margin);
+    }
+    n_behind as f64 / n_seen.max(1) as f64
 }
 
 /// A step below 1 µm and 1 µrad changes nothing that depth could see.

@@ -286,7 +286,9 @@ fn blend(block: &mut Block, index: usize, distance: f32, weight: f32) {
     let added = (weight * WEIGHT_ONE).max(1.0);
     let old = block.tsdf[index] as f32;
     let mean = old + (distance * TSDF_ONE - old) * (added / (old_weight + added));
-    block.tsdf[index] = mean.round().clamp(-TSDF_ONE, TSDF_ONE) as i16;
+    // Rounds to nearest without a call into the mathematics library: the shifted value is positive.
+    block.tsdf[index] =
+        ((mean.clamp(-TSDF_ONE, TSDF_ONE) + (TSDF_ONE + 0.5)) as i32 - TSDF_ONE as i32) as i16;
     block.weight[index] = (old_weight + added).min(u16::MAX as f32) as u16;
 }
 

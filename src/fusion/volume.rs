@@ -102,7 +102,7 @@ impl TsdfVolume {
     /// The block that holds a point.
     pub fn block_of(&self, point: &Vector3<f32>) -> BlockCoord {
         let inv_block = 1.0 / (self.voxel_size_m * BLOCK_SIDE as f32);
-        [point.x, point.y, point.z].map(|x| (x * inv_block).floor() as i32)
+        [point.x, point.y, point.z].map(|x| floor(x * inv_block))
     }
 
     /// Whether block coordinates lie within the volume.
@@ -182,9 +182,8 @@ impl TsdfVolume {
     #[inline]
     fn corners(&self, point: &Vector3<f32>) -> Option<([f32; 8], [f32; 3])> {
         let grid = point / self.voxel_size_m;
-        let base = [grid.x.floor(), grid.y.floor(), grid.z.floor()];
-        let fraction = [grid.x - base[0], grid.y - base[1], grid.z - base[2]];
-        let voxel = base.map(|x| x as i32);
+        let voxel = [grid.x, grid.y, grid.z].map(floor);
+        let fraction = [0, 1, 2].map(|axis| grid[axis] - voxel[axis] as f32);
         let local = voxel.map(|i| i & 7);
         let mut corners = [0.0f32; 8];
         if local.iter().all(|&i| i < 7) {
@@ -209,6 +208,13 @@ impl TsdfVolume {
         }
         Some((corners, fraction))
     }
+}
+
+/// Largest integer not above x, without a call into the mathematics library.
+#[inline]
+fn floor(x: f32) -> i32 {
+    let truncated = x as i32;
+    truncated - i32::from(x < truncated as f32)
 }
 
 /// Index of a voxel within its block.

@@ -53,6 +53,10 @@ pub fn sentence(reason: &LossReason) -> String {
             "only {:.0} % of the points lie on the model",
             100.0 * inlier_share
         ),
+        LossReason::SeeThrough { share } => format!(
+            "the camera would look through the model at {:.0} % of the points",
+            100.0 * share
+        ),
         LossReason::LargeResidual { rmse_m } => {
             format!(
                 "the frame is {:.1} mm off the model on average",

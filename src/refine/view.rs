@@ -195,11 +195,11 @@ impl View {
         let (observed, gradient, noise) = self.linear.sample(pixel.x, pixel.y)?;
         let gain = self.gain * self.gain_field.at(&pixel);
         let unit_prediction = gain * falloff(&point_camera, &normal_camera, &self.light_camera);
-        let slope = gradient[0].hypot(gradient[1]);
+        let slope_squared = gradient[0] * gradient[0] + gradient[1] * gradient[1];
         let sigma = (noise * noise
             + (self.trust.model_error * observed).powi(2)
-            + (self.trust.misregistration_px * slope).powi(2))
-        .sqrt();
+            + self.trust.misregistration_px.powi(2) * slope_squared)
+            .sqrt();
         (unit_prediction > 0.0).then_some(Sample {
             pixel,
             observed,

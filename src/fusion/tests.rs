@@ -1,0 +1,138 @@
+//! Tracking and fusion against the simulated camera's truth.
+
+use super::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
+use crate::geometry::{CameraModel, Pose, motion_between};
+use depth_camera::{DepthCamera, Frame, Image, Sensor};
+use simulated::SimulatedCamera;
+use std::time::Duration;
+
+fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
+    let mut camera = SimulatedCamera::kinect2_plaque(60, 3);
+    let model = CameraModel::new(camera.info().intrinsics);
+    // The simulator's world is its table; ours is the first camera.
+    let first_from_table = camera.true_world_from_camera(0).inverse();
+    let truth = (0..n_frames)
+        .map(|frame| first_from_table * camera.true_world_from_camera(frame))
+        .collect();
+    let frames = (0..n_frames)
+        .map(|_| {
+            camera
+                .grab(Duration::ZERO)
+                .expect("no errors")
+                .expect("more than asked for")
+        })
+        .collect();
+    (frames, truth, model)
+}
+
+fn fusion(camera: CameraModel) -> Fusion {
+    let params = FusionParams {
+        voxel_size_m: 0.004,
+        depth_max_m: 1.5,
+        ..FusionParams::default()
+    };
+    Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params)
+}
+
+fn fuse(fusion: &mut Fusion, frame: &Frame) -> TrackingOutcome {
+    fusion.fuse(
+        frame.depth.as_ref().expect("Kinect II"),
+        frame.device_time_secs,
+    )
+}
+
+#[test]
+fn poses_follow_the_truth_and_do_not_depend_on_threads() {
+    let (frames, truth, camera) = frames(6);
+    let run = |n_threads: usize| -> Vec<Pose> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(n_threads)
+            .build()
+            .expect("threads");
+        pool.install(|| {
+            let mut fusion = fusion(camera);
+            frames
+                .iter()
+                .map(|frame| match fuse(&mut fusion, frame) {
+                    TrackingOutcome::Tracked {
+                        world_from_camera, ..
+                    } => world_from_camera,
+                    other => panic!("frame {}: {other:?}", frame.frame_id),
+                })
+                .collect()
+        })
+    };
+    let poses = run(1);
+    assert_eq!(poses, run(2));
+    for (pose, truth) in poses.iter().zip(&truth) {
+        let off = motion_between(truth, pose);
+        // Half a voxel, and the angle that moves the object, at 0.6 m, by a voxel.
+        assert!(off.translation_m < 0.002, "{off:?}");
+        assert!(off.rotation_rad < 0.006, "{off:?}");
+    }
+}
+
+#[test]
+fn a_frame_from_elsewhere_is_lost_and_not_fused_and_tracking_resumes() {
+    let (frames, _, camera) = frames(22);
+    let mut fusion = fusion(camera);
+    fuse(&mut fusion, &frames[0]);
+    fuse(&mut fusion, &frames[1]);
+    // A thirtieth of a second later the camera stands 25° round the object.
+    let depth = frames[21].depth.as_ref().expect("Kinect II");
+    let outcome = fusion.fuse(depth, frames[2].device_time_secs);
+    assert!(matches!(outcome, TrackingOutcome::Lost(_)), "{outcome:?}");
+    assert_eq!(fusion.n_fused(), 2);
+    assert!(matches!(
+        fuse(&mut fusion, &frames[2]),
+        TrackingOutcome::Tracked { .. }
+    ));
+    assert_eq!(fusion.n_fused(), 3);
+}
+
+#[test]
+fn a_covered_lens_is_waited_out() {
+    let (frames, _, camera) = frames(2);
+    let mut fusion = fusion(camera);
+    fuse(&mut fusion, &frames[0]);
+    let dark = Image::filled(512, 424, 0.0);
+    assert_eq!(fusion.fuse(&dark, 0.5), TrackingOutcome::NoDepth);
+    assert!(matches!(
+        fuse(&mut fusion, &frames[1]),
+        TrackingOutcome::Tracked { .. }
+    ));
+}
+
+#[test]
+fn a_bare_plane_does_not_hold_the_camera() {
+    let (_, _, camera) = frames(0);
+    let mut fusion = fusion(camera);
+    let wall = Image::filled(512, 424, 0.8f32);
+    fusion.fuse(&wall, 0.0);
+    let outcome = fusion.fuse(&wall, 1.0 / 30.0);
+    assert!(
+        matches!(outcome, TrackingOutcome::Lost(LossReason::FlatScene { .. })),
+        "{outcome:?}"
+    );
+}
+
+#[test]
+fn given_poses_are_taken_as_they_are() {
+    let (frames, truth, camera) = frames(2);
+    let mut fusion = fusion(camera);
+    for (frame, pose) in frames.iter().zip(&truth) {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        let outcome = fusion.fuse_at(depth, frame.device_time_secs, pose);
+        assert_eq!(
+            outcome,
+            TrackingOutcome::Tracked {
+                world_from_camera: *pose,
+                fit: None
+            }
+        );
+    }
+    assert!(
+        fusion.mesh().faces.is_empty(),
+        "two frames are too few for a surface of weight 2"
+    );
+}
