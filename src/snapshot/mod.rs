@@ -21,6 +21,8 @@ mod pool;
 mod speckle;
 
 #[cfg(test)]
+mod bench_tests;
+#[cfg(test)]
 mod scenes;
 
 pub use params::SnapshotParams;
