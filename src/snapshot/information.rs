@@ -16,8 +16,8 @@ use nalgebra::{Point3, Vector3};
 const DARKEST: f64 = 0.005;
 /// Side of a patch, metres: a dozen edges of a refined mesh, and small against an object.
 const PATCH_M: f64 = 0.02;
-/// Every so manyth pixel of the model image is looked at, along rows and columns.
-const STEP: usize = 2;
+/// The surface is looked at about every so many pixels of the full image, along rows and columns.
+const SAMPLE_PX: usize = 4;
 /// Refinement is of the object that the operator points at: a pixel counts by a Gaussian of its angle to the optical axis
 /// with this deviation, 8°: 84 mm at 0.6 m. Arbitrary.
 const ATTENTION_RAD: f64 = 0.14;
@@ -125,15 +125,16 @@ pub(super) fn view_information(
 
     let (width, height) = (model.points.width(), model.points.height());
     let factor = snapshot.ir_counts.width() / width;
-    let pixel_solid_angle = (STEP * factor).pow(2) as f64 / optics.focal_px.iter().product::<f64>();
+    let step = (SAMPLE_PX / factor.max(1)).max(1);
+    let pixel_solid_angle = (step * factor).pow(2) as f64 / optics.focal_px.iter().product::<f64>();
     // Pixels are counted in those of a patch seen head-on at the reference distance: near views have more of them.
     let unit = pixel_solid_angle * (REFERENCE_M / PATCH_M).powi(2);
     let min_cos_axis = (ATTENTION_RAD * ATTENTION_REACH).cos();
 
     let mut samples = Vec::new();
     let (mut target, mut weights) = (Vector3::zeros(), 0.0);
-    for v in (0..height).step_by(STEP) {
-        for u in (0..width).step_by(STEP) {
+    for v in (0..height).step_by(step) {
+        for u in (0..width).step_by(step) {
             let normal = model.normals.at(u, v).cast::<f64>();
             let point = model.points.at(u, v).cast::<f64>();
             let (to_eye, to_light) = (eye - point, light - point);

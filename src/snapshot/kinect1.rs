@@ -2,7 +2,8 @@
 //! uncovers the projector again; nobody tells the program, the images do.
 //!
 //! *Exposures* are IR images without depth and without speckle that the lamp lights. Those between two tracked frames form
-//! a *group*: they become one shading image if the poses before and after agree. When there are more groups than
+//! a *group*: they become one shading image if the poses before and after agree, or at the pose before if the operator says
+//! so ([`HeldPose`]). When there are more groups than
 //! `max_snapshots`, those that tell most are kept, as for the Kinect II; up to that number each pose that the operator
 //! took the trouble to hold is kept, however little it adds.
 
@@ -11,10 +12,13 @@ use super::information::{Optics, ViewInformation, view_information};
 use super::pool::Pool;
 use super::rejection::{RejectReason, Rejection};
 use super::speckle::texture;
-use super::{ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
+use super::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
 use crate::fusion::{ModelMap, TrackingOutcome};
 use crate::geometry::{Pose, mean_pose, motion_between};
 use depth_camera::{Frame, Image};
+
+/// A pose that is older than this when the exposures begin does not count as held; arbitrary, recorded sequences take 0.53.
+const MAX_HOLD_SECS: f64 = 1.0;
 
 /// The stream of a sensor whose lamp is lit at shading poses only.
 pub(super) struct ShadingSequence {
@@ -30,6 +34,7 @@ pub(super) struct ShadingSequence {
 
 /// A tracked frame.
 struct Placed {
+    device_time_secs: f64,
     world_from_camera: Pose,
     depth_m: Image<f32>,
 }
@@ -56,6 +61,7 @@ impl ShadingSequence {
                 self.close(&world_from_camera, tracked.model);
                 self.refuse_uncovered(frame);
                 self.before = frame.depth.clone().map(|depth_m| Placed {
+                    device_time_secs: frame.device_time_secs,
                     world_from_camera,
                     depth_m,
                 });
@@ -161,19 +167,19 @@ impl ShadingSequence {
         world_from_after: &Pose,
     ) -> Result<ShadingSnapshot, RejectReason> {
         let before = self.before.as_ref().ok_or(RejectReason::NotTracked)?;
-        let motion = motion_between(&before.world_from_camera, world_from_after);
-        if motion.rotation_rad > self.params.max_still_rotation_rad
-            || motion.translation_m > self.params.max_still_translation_m
-        {
-            return Err(RejectReason::NotStill {
-                rotation_rad: motion.rotation_rad,
-                translation_m: motion.translation_m,
-            });
-        }
         let n_exposures = agreeing.exposures.len();
         let first = match agreeing.exposures.first() {
             Some(first) if n_exposures >= self.params.min_exposures => first,
             _ => return Err(RejectReason::FewExposures { n_exposures }),
+        };
+        let world_from_camera = match self.params.held_pose {
+            HeldPose::Between => self.pose_between(&before.world_from_camera, world_from_after)?,
+            HeldPose::Before
+                if first.device_time_secs - before.device_time_secs > MAX_HOLD_SECS =>
+            {
+                return Err(RejectReason::NotTracked);
+            }
+            HeldPose::Before => before.world_from_camera,
         };
         let ir_counts = agreeing.average(self.optics.full_scale);
         let share = saturated_share(&ir_counts, self.optics.full_scale);
@@ -186,8 +192,22 @@ impl ShadingSequence {
             n_exposures,
             ir_counts,
             depth_m: before.depth_m.clone(),
-            world_from_camera: mean_pose(&before.world_from_camera, world_from_after),
+            world_from_camera,
         })
+    }
+
+    /// The pose halfway between the two, if they agree.
+    fn pose_between(&self, before: &Pose, after: &Pose) -> Result<Pose, RejectReason> {
+        let motion = motion_between(before, after);
+        if motion.rotation_rad > self.params.max_still_rotation_rad
+            || motion.translation_m > self.params.max_still_translation_m
+        {
+            return Err(RejectReason::NotStill {
+                rotation_rad: motion.rotation_rad,
+                translation_m: motion.translation_m,
+            });
+        }
+        Ok(mean_pose(before, after))
     }
 
     /// Gives the open group up.

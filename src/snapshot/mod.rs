@@ -25,7 +25,7 @@ mod bench_tests;
 #[cfg(test)]
 mod scenes;
 
-pub use params::SnapshotParams;
+pub use params::{HeldPose, SnapshotParams};
 pub use rejection::{RejectReason, Rejection};
 
 use crate::fusion::{ModelMap, TrackingOutcome};

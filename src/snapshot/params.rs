@@ -27,12 +27,27 @@ pub struct SnapshotParams {
     pub min_exposures: usize,
     /// Kinect I: exposures of one pose beyond this number are not used.
     pub max_exposures: usize,
+    /// Kinect I: which pose the exposures are given.
+    pub held_pose: HeldPose,
     /// Kinect I: largest distance between the poses before and after the exposures, metres; about the tracker's noise.
     pub max_still_translation_m: f64,
-    /// Kinect I: largest turn between the poses before and after the exposures, radians (0.3°).
+    /// Kinect I: largest turn between the poses before and after the exposures, radians (0.3°). Both limits are of
+    /// [`HeldPose::Between`].
     pub max_still_rotation_rad: f64,
     /// Kinect I: an exposure that differs from the others in more than this share of its lit area is not used.
     pub max_changed_share: f64,
+}
+
+/// The pose of a Kinect I's exposures, which carry no depth to track.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HeldPose {
+    /// Halfway between the last one before and the first one after, which must agree: the hand is measured to be still.
+    #[default]
+    Between,
+    /// The last one before, at most a second old: for recordings without depth at the held pose after the exposures. Nothing
+    /// but the exposures' agreement says that the hand was still; refinement has to align the view by its image.
+    Before,
 }
 
 impl Default for SnapshotParams {
@@ -47,6 +62,7 @@ impl Default for SnapshotParams {
             max_covered_depth_share: 0.04,
             min_exposures: 2,
             max_exposures: 16,
+            held_pose: HeldPose::default(),
             max_still_translation_m: 0.0025,
             max_still_rotation_rad: 0.3 * std::f64::consts::PI / 180.0,
             max_changed_share: 0.02,

@@ -100,6 +100,33 @@ fn a_group_during_which_the_camera_moved_is_refused_with_figures() {
 }
 
 #[test]
+fn the_pose_before_may_be_trusted_for_a_second() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let params = SnapshotParams {
+        held_pose: HeldPose::Before,
+        ..SnapshotParams::default()
+    };
+    for (first_exposure, n_accepted) in [(30, 1), (31, 0)] {
+        let mut selector = SnapshotSelector::new(&info, params.clone()).unwrap();
+        let frames = [
+            (0, Depth(0.01)),
+            (first_exposure, Lamp(300)),
+            (first_exposure + 1, Lamp(300)),
+            (first_exposure + 20, Depth(0.05)),
+        ];
+        for (frame_id, shows) in frames {
+            observe(&mut selector, frame_id, shows);
+        }
+        let selection = selector.finish();
+        assert_eq!(selection.accepted.len(), n_accepted);
+        for snapshot in selection.accepted {
+            assert_eq!(snapshot.world_from_camera.translation.x, 0.01);
+        }
+    }
+}
+
+#[test]
 fn groups_without_a_pose_on_both_sides_are_refused() {
     use Shows::*;
     let lost_after = select(&[Depth(0.0), Lamp(300), Lamp(300), Strange, Depth(0.0)]);
@@ -186,9 +213,8 @@ fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
     };
     let mut camera = SimulatedCamera::new(setup).unwrap();
     let params = SnapshotParams {
-        // The simulated hand is still at the exposures alone: the frame after is a step further.
-        max_still_translation_m: 0.05,
-        max_still_rotation_rad: 0.05,
+        // The simulated hand has moved on when depth comes back.
+        held_pose: HeldPose::Before,
         ..SnapshotParams::default()
     };
     let mut selector = SnapshotSelector::new(camera.info(), params).unwrap();
@@ -206,6 +232,8 @@ fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
         .iter()
         .map(|s| (s.frame_id, s.n_exposures))
         .collect();
+    let held = camera.true_world_from_camera(6);
+    assert_eq!(selection.accepted[0].world_from_camera, held);
     // Moving frames 0 to 6, four exposures, moving frames 7 to 16, four exposures.
     assert_eq!(found, [(7, 4), (21, 4)]);
     assert_eq!(selection.rejected.len(), 4);
