@@ -1,13 +1,39 @@
-//! Shading images: when one is taken, and from where.
+//! Shading images: which moments of a scan become one, and from where they were seen.
+//!
+//! A *shading image* is lit by the sensor's light alone and its pose is known. A Kinect II lights every IR frame itself, so
+//! the question is which frames are worth refining with: those that see the surface from tilts that the others lack. A
+//! Kinect I shows its projector's speckle until the operator holds still, covers the projector and lights the lamp: that
+//! sequence is recognised from the images, and its exposures are averaged. What a view is worth is its *information*: the
+//! tilts of the surface that change its brightness, see `information.rs`.
+//!
+//! Pure: frames in, a selection out; memory is bounded by [`SnapshotParams::max_snapshots`] but for one line per rejected
+//! frame and one per 20 mm of surface. Not handled: ambient IR, a lamp that is moved by hand, IR that is not aligned with
+//! depth.
 
-mod selector;
+mod kinect1;
+mod kinect2;
+mod params;
+mod rejection;
 
-pub use selector::{
-    RejectReason, Rejection, SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame,
-};
+mod exposures;
+mod information;
+mod pool;
+mod speckle;
 
+#[cfg(test)]
+mod bench_tests;
+#[cfg(test)]
+mod scenes;
+
+pub use params::{HeldPose, SnapshotParams};
+pub use rejection::{RejectReason, Rejection};
+
+use crate::fusion::{ModelMap, TrackingOutcome};
 use crate::geometry::Pose;
-use depth_camera::Image;
+use depth_camera::{CameraInfo, Frame, Image, Sensor};
+use information::Optics;
+use kinect1::ShadingSequence;
+use kinect2::EmitterStream;
 
 /// An IR image that refinement can use: lit by the sensor's light alone, the camera still and its pose known.
 #[derive(Clone, Debug)]
@@ -24,4 +50,92 @@ pub struct ShadingSnapshot {
     pub depth_m: Image<f32>,
     /// Pose of the camera, from tracking.
     pub world_from_camera: Pose,
+}
+
+/// A frame with what tracking made of it.
+#[derive(Clone, Copy, Debug)]
+pub struct TrackedFrame<'a> {
+    /// What the camera delivered.
+    pub frame: &'a Frame,
+    /// Whether its pose is known.
+    pub outcome: &'a TrackingOutcome,
+    /// The model as seen after this frame was fused, world frame; its pixels are whole multiples of the frame's.
+    pub model: Option<&'a ModelMap>,
+}
+
+/// What a scan gave to refine with.
+#[derive(Clone, Debug, Default)]
+pub struct SnapshotSelection {
+    /// The shading images, in order of time.
+    pub accepted: Vec<ShadingSnapshot>,
+    /// The IR frames that are not among them, in order of their number.
+    pub rejected: Vec<Rejection>,
+}
+
+/// Chooses shading images while a scan goes on; the same frames give the same selection.
+pub struct SnapshotSelector {
+    method: Method,
+}
+
+/// How the sensor at hand comes by shading images.
+enum Method {
+    Sequence(ShadingSequence),
+    Stream(EmitterStream),
+}
+
+impl SnapshotSelector {
+    /// A selector for one camera, `None` if it delivers no IR or has no light; `params` must have been validated.
+    pub fn new(info: &CameraInfo, params: SnapshotParams) -> Option<Self> {
+        let optics = Optics::new(info)?;
+        let method = match info.sensor {
+            Sensor::Kinect1 => Method::Sequence(ShadingSequence::new(optics, params)),
+            Sensor::Kinect2 => Method::Stream(EmitterStream::new(optics, params)),
+        };
+        Some(SnapshotSelector { method })
+    }
+
+    /// Takes in the next frame of the stream.
+    pub fn observe(&mut self, tracked: &TrackedFrame) {
+        match &mut self.method {
+            Method::Sequence(sequence) => sequence.observe(tracked),
+            Method::Stream(stream) => stream.observe(tracked),
+        }
+    }
+
+    /// How many shading images there are so far, at most `max_snapshots`; [`Self::finish`] may keep fewer.
+    pub fn n_accepted(&self) -> usize {
+        match &self.method {
+            Method::Sequence(sequence) => sequence.n_accepted(),
+            Method::Stream(stream) => stream.n_accepted(),
+        }
+    }
+
+    /// The choice among everything seen.
+    pub fn finish(self) -> SnapshotSelection {
+        match self.method {
+            Method::Sequence(sequence) => sequence.finish(),
+            Method::Stream(stream) => stream.finish(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_without_ir_or_light_gives_no_shading_images() {
+        let info = scenes::camera_info(Sensor::Kinect2);
+        assert!(SnapshotSelector::new(&info, SnapshotParams::default()).is_some());
+        let dark = CameraInfo {
+            light: None,
+            ..info.clone()
+        };
+        assert!(SnapshotSelector::new(&dark, SnapshotParams::default()).is_none());
+        let blind = CameraInfo {
+            ir_full_scale: None,
+            ..info
+        };
+        assert!(SnapshotSelector::new(&blind, SnapshotParams::default()).is_none());
+    }
 }

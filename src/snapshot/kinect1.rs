@@ -1,0 +1,229 @@
+//! Kinect I: the shading sequence. The operator holds still, covers the projector (depth goes empty), lights the lamp, and
+//! uncovers the projector again; nobody tells the program, the images do.
+//!
+//! *Exposures* are IR images without depth and without speckle that the lamp lights. Those between two tracked frames form
+//! a *group*: they become one shading image at the pose that [`HeldPose`] says. When there are more groups than `max_snapshots`, those that tell most are kept, as for the Kinect II; up to that number each pose that the operator
+//! took the trouble to hold is kept, however little it adds.
+
+use super::exposures::{Agreeing, Exposure, agreeing, saturated_share};
+use super::information::{Optics, ViewInformation, view_information};
+use super::pool::Pool;
+use super::rejection::{RejectReason, Rejection};
+use super::speckle::texture;
+use super::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
+use crate::fusion::{ModelMap, TrackingOutcome};
+use crate::geometry::{Pose, mean_pose, motion_between};
+use depth_camera::{Frame, Image};
+
+/// A pose that is older than this when the exposures begin does not count as held; arbitrary, recorded sequences take 0.53.
+const MAX_HOLD_SECS: f64 = 1.0;
+
+/// The stream of a sensor whose lamp is lit at shading poses only.
+pub(super) struct ShadingSequence {
+    optics: Optics,
+    params: SnapshotParams,
+    /// The last tracked frame; `None` while the pose is not known.
+    before: Option<Placed>,
+    /// The group that is open.
+    exposures: Vec<Exposure>,
+    pool: Pool,
+    rejected: Vec<Rejection>,
+}
+
+/// A tracked frame.
+struct Placed {
+    device_time_secs: f64,
+    world_from_camera: Pose,
+    depth_m: Image<f32>,
+}
+
+impl ShadingSequence {
+    pub(super) fn new(optics: Optics, params: SnapshotParams) -> Self {
+        ShadingSequence {
+            optics,
+            pool: Pool::new(2 * params.max_snapshots),
+            params,
+            before: None,
+            exposures: Vec::new(),
+            rejected: Vec::new(),
+        }
+    }
+
+    pub(super) fn observe(&mut self, tracked: &TrackedFrame) {
+        let frame = tracked.frame;
+        let covered = depth_share(frame) <= self.params.max_covered_depth_share;
+        match *tracked.outcome {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => {
+                self.close(&world_from_camera, tracked.model);
+                self.refuse_uncovered(frame);
+                self.before = frame.depth.clone().map(|depth_m| Placed {
+                    device_time_secs: frame.device_time_secs,
+                    world_from_camera,
+                    depth_m,
+                });
+            }
+            TrackingOutcome::Lost(_) if !covered => {
+                self.abandon(RejectReason::LostAfter);
+                self.refuse_uncovered(frame);
+                self.before = None;
+            }
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth if covered => self.expose(frame),
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth => self.refuse_uncovered(frame),
+        }
+    }
+
+    pub(super) fn n_accepted(&self) -> usize {
+        self.pool.len().min(self.params.max_snapshots)
+    }
+
+    pub(super) fn finish(mut self) -> SnapshotSelection {
+        self.abandon(RejectReason::Unfinished);
+        let (accepted, outdone) = self.pool.choose(self.params.max_snapshots, 0.0);
+        self.rejected.extend(outdone);
+        self.rejected.sort_by_key(|rejection| rejection.frame_id);
+        SnapshotSelection {
+            accepted,
+            rejected: self.rejected,
+        }
+    }
+
+    /// Takes in a frame without depth: an exposure, if the lamp and nothing else lights it.
+    fn expose(&mut self, frame: &Frame) {
+        let Some(ir) = &frame.ir else { return };
+        let texture = texture(ir, self.optics.full_scale);
+        let reason = if texture.is_speckled() {
+            RejectReason::Speckle {
+                energy: texture.speckle_energy,
+            }
+        } else if texture.is_dark() {
+            RejectReason::Dark {
+                lit_share: texture.lit_share,
+            }
+        } else if self.before.is_none() {
+            RejectReason::NotTracked
+        } else if self.exposures.len() >= self.params.max_exposures {
+            RejectReason::Surplus
+        } else {
+            self.exposures.push(Exposure {
+                frame_id: frame.frame_id,
+                device_time_secs: frame.device_time_secs,
+                counts: ir.clone(),
+            });
+            return;
+        };
+        self.reject(frame.frame_id, reason);
+    }
+
+    /// Says why the IR image of a frame with depth is none under the lamp.
+    fn refuse_uncovered(&mut self, frame: &Frame) {
+        let Some(ir) = &frame.ir else { return };
+        let texture = texture(ir, self.optics.full_scale);
+        let reason = match texture.is_speckled() {
+            true => RejectReason::Speckle {
+                energy: texture.speckle_energy,
+            },
+            false => RejectReason::Uncovered {
+                depth_share: depth_share(frame),
+            },
+        };
+        self.reject(frame.frame_id, reason);
+    }
+
+    /// Ends the open group at the first frame that is tracked again.
+    fn close(&mut self, world_from_after: &Pose, model: Option<&ModelMap>) {
+        let exposures = std::mem::take(&mut self.exposures);
+        if exposures.is_empty() {
+            return;
+        }
+        let (agreeing, changed) = agreeing(
+            &exposures,
+            self.optics.full_scale,
+            self.params.max_changed_share,
+        );
+        self.rejected.extend(changed);
+        match self.develop(&agreeing, world_from_after) {
+            Ok(snapshot) => {
+                let view = model.map_or_else(ViewInformation::default, |model| {
+                    view_information(&snapshot, model, &self.optics)
+                });
+                self.rejected.extend(self.pool.offer(snapshot, &view));
+            }
+            Err(reason) => {
+                for exposure in agreeing.exposures {
+                    self.reject(exposure.frame_id, reason);
+                }
+            }
+        }
+    }
+
+    /// One shading image of the exposures of a group.
+    fn develop(
+        &self,
+        agreeing: &Agreeing,
+        world_from_after: &Pose,
+    ) -> Result<ShadingSnapshot, RejectReason> {
+        let before = self.before.as_ref().ok_or(RejectReason::NotTracked)?;
+        let n_exposures = agreeing.exposures.len();
+        let first = match agreeing.exposures.first() {
+            Some(first) if n_exposures >= self.params.min_exposures => first,
+            _ => return Err(RejectReason::FewExposures { n_exposures }),
+        };
+        let is_recent = first.device_time_secs - before.device_time_secs <= MAX_HOLD_SECS;
+        let between = self.pose_between(&before.world_from_camera, world_from_after);
+        let world_from_camera = match (between, self.params.held_pose) {
+            (Err(_), HeldPose::BetweenOrBefore) if is_recent => before.world_from_camera,
+            (between, _) => between?,
+        };
+        let ir_counts = agreeing.average(self.optics.full_scale);
+        let share = saturated_share(&ir_counts, self.optics.full_scale);
+        if share > self.params.max_saturated_share {
+            return Err(RejectReason::Saturated { share });
+        }
+        Ok(ShadingSnapshot {
+            frame_id: first.frame_id,
+            device_time_secs: first.device_time_secs,
+            n_exposures,
+            ir_counts,
+            depth_m: before.depth_m.clone(),
+            world_from_camera,
+        })
+    }
+
+    /// The pose halfway between the two, if they agree.
+    fn pose_between(&self, before: &Pose, after: &Pose) -> Result<Pose, RejectReason> {
+        let motion = motion_between(before, after);
+        if motion.rotation_rad > self.params.max_still_rotation_rad
+            || motion.translation_m > self.params.max_still_translation_m
+        {
+            return Err(RejectReason::NotStill {
+                rotation_rad: motion.rotation_rad,
+                translation_m: motion.translation_m,
+            });
+        }
+        Ok(mean_pose(before, after))
+    }
+
+    /// Gives the open group up.
+    fn abandon(&mut self, reason: RejectReason) {
+        for exposure in std::mem::take(&mut self.exposures) {
+            self.reject(exposure.frame_id, reason);
+        }
+    }
+
+    fn reject(&mut self, frame_id: u64, reason: RejectReason) {
+        self.rejected.push(Rejection { frame_id, reason });
+    }
+}
+
+/// Share of the pixels with depth.
+fn depth_share(frame: &Frame) -> f64 {
+    frame.depth.as_ref().map_or(0.0, |depth| {
+        let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
+        n_valid as f64 / depth.data().len().max(1) as f64
+    })
+}
+
+#[cfg(test)]
+mod tests;

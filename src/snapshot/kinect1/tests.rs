@@ -1,0 +1,249 @@
+//! Sequences of tiny images with closed-form answers, and a simulated scan.
+
+use super::*;
+use crate::fusion::LossReason;
+use crate::geometry::increment;
+use crate::snapshot::{SnapshotSelector, scenes};
+use depth_camera::{DepthCamera, Sensor};
+use nalgebra::Vector6;
+use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+use std::time::Duration;
+
+/// What the sensor shows next.
+#[derive(Clone, Copy)]
+enum Shows {
+    /// Depth, tracked at this x of the camera, metres.
+    Depth(f64),
+    /// Depth that the tracker does not find in the model.
+    Strange,
+    /// The lamp at this brightness.
+    Lamp(u16),
+    /// Speckle without depth: out of range.
+    Speckle,
+    /// Nothing: covered, and the lamp is out.
+    Nothing,
+}
+
+fn observe(selector: &mut SnapshotSelector, frame_id: u64, shows: Shows) {
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let (width, height) = (info.intrinsics.width, info.intrinsics.height);
+    let depth = match shows {
+        Shows::Depth(_) | Shows::Strange => 0.6,
+        _ => 0.0,
+    };
+    let ir = match shows {
+        Shows::Depth(_) | Shows::Strange => None,
+        Shows::Lamp(counts) => Some(Image::filled(width, height, counts)),
+        Shows::Speckle => {
+            let dots = (0..width * height).map(|pixel| if pixel % 5 == 0 { 700 } else { 20 });
+            Some(Image::from_vec(width, height, dots.collect()))
+        }
+        Shows::Nothing => Some(Image::filled(width, height, 3)),
+    };
+    let outcome = match shows {
+        Shows::Depth(x) => scenes::tracked(increment(&Vector6::new(0.0, 0.0, 0.0, x, 0.0, 0.0))),
+        Shows::Strange => TrackingOutcome::Lost(LossReason::FewInliers { inlier_share: 0.1 }),
+        _ => TrackingOutcome::NoDepth,
+    };
+    let depth = Image::filled(width, height, depth);
+    let frame = scenes::frame(frame_id, frame_id as f64 / 30.0, Some(depth), ir);
+    selector.observe(&scenes::without_model(&frame, &outcome));
+}
+
+/// The selection from a sequence; frames are numbered from 0.
+fn select(sequence: &[Shows]) -> SnapshotSelection {
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let mut selector = SnapshotSelector::new(&info, SnapshotParams::default()).unwrap();
+    for (shows, frame_id) in sequence.iter().zip(0..) {
+        observe(&mut selector, frame_id, *shows);
+    }
+    selector.finish()
+}
+
+fn reasons(selection: &SnapshotSelection) -> Vec<(u64, String)> {
+    let rejected = selection.rejected.iter();
+    rejected
+        .map(|r| (r.frame_id, r.reason.to_string()))
+        .collect()
+}
+
+#[test]
+fn a_still_group_becomes_one_image_at_the_pose_between() {
+    use Shows::*;
+    let sequence = [
+        Depth(0.0),
+        Nothing,
+        Lamp(300),
+        Lamp(330),
+        Lamp(300),
+        Depth(0.002),
+    ];
+    let selection = select(&sequence);
+    assert_eq!(selection.accepted.len(), 1);
+    let snapshot = &selection.accepted[0];
+    assert_eq!((snapshot.frame_id, snapshot.n_exposures), (2, 3));
+    assert!((snapshot.world_from_camera.translation.x - 0.001).abs() < 1e-12);
+    // The lamp's mean brightness.
+    assert!((snapshot.ir_counts.at(9, 9) - 310.0).abs() < 0.01);
+    assert_eq!(*snapshot.depth_m.at(9, 9), 0.6);
+    let dark = (1, "only 0.0 % of the image is lit".to_owned());
+    assert_eq!(reasons(&selection), [dark]);
+}
+
+#[test]
+fn a_group_during_which_the_camera_moved_is_refused_with_figures() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let params = SnapshotParams {
+        held_pose: HeldPose::Between,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    let frames = [Depth(0.0), Lamp(300), Lamp(300), Depth(0.004)];
+    for (frame_id, shows) in frames.into_iter().enumerate() {
+        observe(&mut selector, frame_id as u64, shows);
+    }
+    let selection = selector.finish();
+    assert!(selection.accepted.is_empty());
+    let told = "not held still: 0.00° and 4.0 mm from before to after".to_owned();
+    assert_eq!(reasons(&selection), [(1, told.clone()), (2, told)]);
+}
+
+#[test]
+fn the_pose_before_may_be_trusted_for_a_second() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let params = SnapshotParams::default();
+    for (first_exposure, n_accepted) in [(30, 1), (31, 0)] {
+        let mut selector = SnapshotSelector::new(&info, params.clone()).unwrap();
+        let frames = [
+            (0, Depth(0.01)),
+            (first_exposure, Lamp(300)),
+            (first_exposure + 1, Lamp(300)),
+            (first_exposure + 20, Depth(0.05)),
+        ];
+        for (frame_id, shows) in frames {
+            observe(&mut selector, frame_id, shows);
+        }
+        let selection = selector.finish();
+        assert_eq!(selection.accepted.len(), n_accepted);
+        for snapshot in selection.accepted {
+            assert_eq!(snapshot.world_from_camera.translation.x, 0.01);
+        }
+    }
+}
+
+#[test]
+fn groups_without_a_pose_on_both_sides_are_refused() {
+    use Shows::*;
+    let lost_after = select(&[Depth(0.0), Lamp(300), Lamp(300), Strange, Depth(0.0)]);
+    assert!(lost_after.accepted.is_empty());
+    let lost = lost_after.rejected.iter();
+    assert!(lost.clone().count() == 2 && lost.clone().all(|r| r.reason == RejectReason::LostAfter));
+
+    let lost_before = select(&[Depth(0.0), Strange, Lamp(300), Lamp(300), Depth(0.0)]);
+    assert!(lost_before.accepted.is_empty());
+    assert!(
+        lost_before
+            .rejected
+            .iter()
+            .all(|r| r.reason == RejectReason::NotTracked)
+    );
+
+    let unfinished = select(&[Depth(0.0), Lamp(300), Lamp(300)]);
+    assert!(unfinished.accepted.is_empty());
+    assert!(
+        unfinished
+            .rejected
+            .iter()
+            .all(|r| r.reason == RejectReason::Unfinished)
+    );
+}
+
+#[test]
+fn speckle_and_single_exposures_are_never_taken() {
+    use Shows::*;
+    let selection = select(&[Depth(0.0), Speckle, Lamp(300), Speckle, Depth(0.0)]);
+    assert!(selection.accepted.is_empty());
+    let kinds: Vec<_> = selection.rejected.iter().map(|r| r.reason).collect();
+    assert!(matches!(
+        kinds[..],
+        [
+            RejectReason::Speckle { .. },
+            RejectReason::FewExposures { n_exposures: 1 },
+            RejectReason::Speckle { .. }
+        ]
+    ));
+}
+
+#[test]
+fn exposures_and_groups_beyond_the_limits_do_not_pile_up() {
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let params = SnapshotParams {
+        max_snapshots: 2,
+        max_exposures: 3,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    for group in 0..6 {
+        observe(&mut selector, group * 10, Shows::Depth(0.0));
+        for exposure in 1..6 {
+            observe(&mut selector, group * 10 + exposure, Shows::Lamp(300));
+        }
+    }
+    observe(&mut selector, 60, Shows::Depth(0.0));
+    assert_eq!(selector.n_accepted(), 2);
+    let selection = selector.finish();
+    // Without a model all groups tell the same: the first ones stay.
+    let ids: Vec<_> = selection.accepted.iter().map(|s| s.frame_id).collect();
+    assert_eq!(ids, [1, 11]);
+    assert!(selection.accepted.iter().all(|s| s.n_exposures == 3));
+    let surplus = selection
+        .rejected
+        .iter()
+        .filter(|r| r.reason == RejectReason::Surplus);
+    assert_eq!(surplus.count(), 12);
+}
+
+#[test]
+fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
+    let scene = Scene::plaque();
+    let (low, high) = scene.object_bounds();
+    let setup = Setup {
+        scene,
+        trajectory: Trajectory::hand_held(nalgebra::center(&low, &high), 24),
+        sensor: Sensor::Kinect1,
+        n_moving_frames: 24,
+        shading_frames: vec![6, 16],
+        reduction: 4,
+        seed: 9,
+    };
+    let mut camera = SimulatedCamera::new(setup).unwrap();
+    // The simulated hand has moved on when depth comes back.
+    let mut selector = SnapshotSelector::new(camera.info(), SnapshotParams::default()).unwrap();
+    while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
+        let pose = camera.true_world_from_camera(frame.frame_id as usize);
+        let outcome = match depth_share(&frame) > 0.1 {
+            true => scenes::tracked(pose),
+            false => TrackingOutcome::NoDepth,
+        };
+        selector.observe(&scenes::without_model(&frame, &outcome));
+    }
+    let selection = selector.finish();
+    let found: Vec<_> = selection
+        .accepted
+        .iter()
+        .map(|s| (s.frame_id, s.n_exposures))
+        .collect();
+    let held = camera.true_world_from_camera(6);
+    assert_eq!(selection.accepted[0].world_from_camera, held);
+    // Moving frames 0 to 6, four exposures, moving frames 7 to 16, four exposures.
+    assert_eq!(found, [(7, 4), (21, 4)]);
+    assert_eq!(selection.rejected.len(), 4);
+    assert!(
+        selection
+            .rejected
+            .iter()
+            .all(|r| matches!(r.reason, RejectReason::Speckle { .. }))
+    );
+}

@@ -1,0 +1,165 @@
+//! Kinect II: the emitter lights every IR frame, so every tracked frame is a candidate, and the best ones are kept.
+
+use super::exposures::saturated_share;
+use super::information::{Optics, ViewInformation, view_information};
+use super::pool::Pool;
+use super::rejection::{RejectReason, Rejection};
+use super::{ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
+use crate::fusion::TrackingOutcome;
+use crate::geometry::{Pose, motion_between};
+use depth_camera::{Frame, Image};
+use nalgebra::{Point3, Vector2};
+
+/// The stream of a sensor whose own light is always on.
+pub(super) struct EmitterStream {
+    optics: Optics,
+    params: SnapshotParams,
+    pool: Pool,
+    last: Option<Placed>,
+    rejected: Vec<Rejection>,
+}
+
+/// Where the camera was, and when.
+#[derive(Clone, Copy)]
+struct Placed {
+    world_from_camera: Pose,
+    device_time_secs: f64,
+}
+
+impl EmitterStream {
+    pub(super) fn new(optics: Optics, params: SnapshotParams) -> Self {
+        EmitterStream {
+            optics,
+            pool: Pool::new(2 * params.max_snapshots),
+            params,
+            last: None,
+            rejected: Vec::new(),
+        }
+    }
+
+    pub(super) fn observe(&mut self, tracked: &TrackedFrame) {
+        let outcome = self.judge(tracked);
+        let rejection = match outcome {
+            Ok(None) => None,
+            Ok(Some((snapshot, view))) => self.pool.offer(snapshot, &view),
+            Err(reason) => Some(Rejection {
+                frame_id: tracked.frame.frame_id,
+                reason,
+            }),
+        };
+        self.rejected.extend(rejection);
+    }
+
+    pub(super) fn n_accepted(&self) -> usize {
+        self.pool.len().min(self.params.max_snapshots)
+    }
+
+    pub(super) fn finish(mut self) -> SnapshotSelection {
+        let params = &self.params;
+        let (accepted, outdone) = self
+            .pool
+            .choose(params.max_snapshots, params.min_gain_share);
+        self.rejected.extend(outdone);
+        self.rejected.sort_by_key(|rejection| rejection.frame_id);
+        SnapshotSelection {
+            accepted,
+            rejected: self.rejected,
+        }
+    }
+
+    /// The frame as a candidate; `Ok(None)` if it has no IR.
+    fn judge(
+        &mut self,
+        tracked: &TrackedFrame,
+    ) -> Result<Option<(ShadingSnapshot, ViewInformation)>, RejectReason> {
+        let frame = tracked.frame;
+        let before = self.last;
+        if let TrackingOutcome::Tracked {
+            world_from_camera, ..
+        } = *tracked.outcome
+        {
+            self.last = Some(Placed {
+                world_from_camera,
+                device_time_secs: frame.device_time_secs,
+            });
+        }
+        let Some(ir) = &frame.ir else {
+            return Ok(None);
+        };
+        let TrackingOutcome::Tracked {
+            world_from_camera, ..
+        } = *tracked.outcome
+        else {
+            return Err(RejectReason::NotTracked);
+        };
+        let snapshot = candidate(frame, ir, world_from_camera).ok_or(RejectReason::NoDepth)?;
+        let share = saturated_share(&snapshot.ir_counts, self.optics.full_scale);
+        if share > self.params.max_saturated_share {
+            return Err(RejectReason::Saturated { share });
+        }
+        let model = tracked.model.ok_or(RejectReason::NoInformation)?;
+        let view = view_information(&snapshot, model, &self.optics);
+        let target = view.target_world.ok_or(RejectReason::NoInformation)?;
+        if let Some(before) = before {
+            self.check_motion(&before, &snapshot, &target)?;
+        }
+        if view.patches.is_empty() {
+            return Err(RejectReason::NoInformation);
+        }
+        Ok(Some((snapshot, view)))
+    }
+
+    /// Compares with the tracked frame before, over whatever time has passed; the first frame has none and is taken to be
+    /// still.
+    fn check_motion(
+        &self,
+        before: &Placed,
+        now: &ShadingSnapshot,
+        target_world: &Point3<f64>,
+    ) -> Result<(), RejectReason> {
+        let elapsed = now.device_time_secs - before.device_time_secs;
+        if elapsed <= 0.0 {
+            return Ok(());
+        }
+        let motion = motion_between(&before.world_from_camera, &now.world_from_camera);
+        let [fx, fy] = self.optics.focal_px;
+        let moved = ray_to(target_world, &now.world_from_camera)
+            - ray_to(target_world, &before.world_from_camera);
+        let rotation_rad_per_s = motion.rotation_rad / elapsed;
+        let speed_m_per_s = motion.translation_m / elapsed;
+        let image_speed_px_per_s = Vector2::new(fx * moved.x, fy * moved.y).norm() / elapsed;
+        let params = &self.params;
+        if rotation_rad_per_s > params.max_rotation_rad_per_s
+            || speed_m_per_s > params.max_speed_m_per_s
+            || image_speed_px_per_s > params.max_image_speed_px_per_s
+        {
+            return Err(RejectReason::TooFast {
+                rotation_rad_per_s,
+                speed_m_per_s,
+                image_speed_px_per_s,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The frame as a shading image, `None` without depth.
+fn candidate(frame: &Frame, ir: &Image<u16>, world_from_camera: Pose) -> Option<ShadingSnapshot> {
+    Some(ShadingSnapshot {
+        frame_id: frame.frame_id,
+        device_time_secs: frame.device_time_secs,
+        n_exposures: 1,
+        ir_counts: ir.map(|&counts| f32::from(counts)),
+        depth_m: frame.depth.clone()?,
+        world_from_camera,
+    })
+}
+
+/// Normalised coordinates of a point in front of a camera; the lens is left out, speeds need no such accuracy.
+fn ray_to(point_world: &Point3<f64>, world_from_camera: &Pose) -> Vector2<f64> {
+    let point = world_from_camera.inverse_transform_point(point_world);
+    point.coords.xy() / point.z.max(0.05)
+}
+
+#[cfg(test)]
+mod tests;

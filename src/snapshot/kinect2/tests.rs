@@ -1,0 +1,132 @@
+//! Tilted planes in closed form, and a simulated scan.
+
+use super::*;
+use crate::fusion::{DepthNoise, Fusion, FusionParams};
+use crate::geometry::{CameraModel, increment};
+use crate::snapshot::SnapshotSelector;
+use crate::snapshot::scenes::{self, Plane};
+use depth_camera::{DepthCamera, Sensor};
+use nalgebra::{UnitQuaternion, Vector3, Vector6};
+use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+use std::time::Duration;
+
+/// What becomes of the second of two frames of a tilted plane, 33 ms apart, when the camera moves by `step`.
+fn second_frame(step: &Pose, counts: u16) -> Option<RejectReason> {
+    let info = scenes::camera_info(Sensor::Kinect2);
+    let params = SnapshotParams {
+        // The image is a quarter of the sensor's.
+        max_image_speed_px_per_s: 150.0 / 4.0,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    for (frame_id, pose, counts) in [(0, Pose::identity(), 20_000), (1, *step, counts)] {
+        let (snapshot, model) = scenes::view_of_plane(&Plane::tilted(0.6, 0.0), &pose);
+        let ir = snapshot.ir_counts.map(|_| counts);
+        let time = frame_id as f64 / 30.0;
+        let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
+        selector.observe(&TrackedFrame {
+            frame: &frame,
+            outcome: &scenes::tracked(pose),
+            model: Some(&model),
+        });
+    }
+    let selection = selector.finish();
+    assert_eq!(selection.accepted.len() + selection.rejected.len(), 2);
+    selection.rejected.first().map(|r| r.reason)
+}
+
+fn turn_about(centre: Vector3<f64>, degrees: f64) -> Pose {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::y() * degrees.to_radians());
+    nalgebra::Isometry3::rotation_wrt_point(turn, centre.into())
+}
+
+#[test]
+fn a_pan_blurs_and_a_walk_round_the_object_does_not() {
+    let walk = turn_about(Vector3::new(0.0, 0.0, 0.6), 1.5);
+    assert_eq!(second_frame(&walk, 20_000), None);
+    let pan = turn_about(Vector3::zeros(), 1.5);
+    let reason = second_frame(&pan, 20_000).unwrap();
+    // 1.5° in 1/30 s: 0.785 rad/s, with 91.4 px a radian.
+    let RejectReason::TooFast {
+        rotation_rad_per_s,
+        speed_m_per_s,
+        ..
+    } = reason
+    else {
+        panic!("{reason}");
+    };
+    assert!((rotation_rad_per_s - 0.785).abs() < 0.001 && speed_m_per_s < 1e-9);
+}
+
+#[test]
+fn fast_and_saturated_frames_are_refused() {
+    let jump = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.04));
+    assert!(matches!(
+        second_frame(&jump, 20_000),
+        Some(RejectReason::TooFast { speed_m_per_s, .. }) if (speed_m_per_s - 1.2).abs() < 1e-9
+    ));
+    assert_eq!(
+        second_frame(&Pose::identity(), 65_535),
+        Some(RejectReason::Saturated { share: 1.0 })
+    );
+    assert_eq!(
+        second_frame(&Pose::identity(), 100),
+        Some(RejectReason::NoInformation)
+    );
+}
+
+#[test]
+fn a_scan_of_a_plaque_gives_views_from_both_sides() {
+    let scene = Scene::plaque();
+    let (low, high) = scene.object_bounds();
+    let setup = Setup {
+        scene,
+        trajectory: Trajectory::hand_held(nalgebra::center(&low, &high), 60),
+        sensor: Sensor::Kinect2,
+        n_moving_frames: 60,
+        shading_frames: Vec::new(),
+        reduction: 4,
+        seed: 5,
+    };
+    let mut camera = SimulatedCamera::new(setup).unwrap();
+    let params = SnapshotParams {
+        max_snapshots: 6,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(camera.info(), params).unwrap();
+    let lens = CameraModel::new(camera.info().intrinsics);
+    let fusion_params = FusionParams {
+        voxel_size_m: 0.004,
+        ..FusionParams::default()
+    };
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    let mut fusion = Fusion::new(lens, noise, fusion_params);
+    while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
+        let pose = camera.true_world_from_camera(frame.frame_id as usize);
+        let depth = frame.depth.as_ref().unwrap();
+        let outcome = fusion.fuse_at(depth, frame.device_time_secs, &pose);
+        selector.observe(&TrackedFrame {
+            frame: &frame,
+            outcome: &outcome,
+            model: fusion.model(),
+        });
+    }
+    assert_eq!(selector.n_accepted(), 6);
+    let selection = selector.finish();
+    assert_eq!(selection.accepted.len() + selection.rejected.len(), 60);
+    let azimuths: Vec<f64> = selection
+        .accepted
+        .iter()
+        .map(|s| {
+            s.world_from_camera
+                .translation
+                .x
+                .atan2(-s.world_from_camera.translation.y)
+        })
+        .map(f64::to_degrees)
+        .collect();
+    assert!(selection.accepted.is_sorted_by_key(|s| s.frame_id));
+    // The swing reaches 42° to either side; a choice of tilts goes near both ends.
+    assert!(azimuths.iter().any(|a| *a < -20.0), "{azimuths:?}");
+    assert!(azimuths.iter().any(|a| *a > 20.0), "{azimuths:?}");
+}

@@ -1,0 +1,163 @@
+//! Why an IR frame did not become a shading image.
+
+use serde::Serialize;
+use std::fmt;
+
+/// An IR frame that is no shading image.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Rejection {
+    /// Which frame.
+    pub frame_id: u64,
+    /// Why.
+    #[serde(flatten)]
+    pub reason: RejectReason,
+}
+
+/// What speaks against an IR frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "reason", rename_all = "snake_case")]
+pub enum RejectReason {
+    /// The camera's pose is not known: the frame was not tracked, or (Kinect I) none was before the exposures.
+    NotTracked,
+    /// The frame carries no depth, which tells what hides the object.
+    NoDepth,
+    /// The camera moved while the image was exposed.
+    TooFast {
+        /// Turn per second since the last tracked frame.
+        rotation_rad_per_s: f64,
+        /// Speed since the last tracked frame.
+        speed_m_per_s: f64,
+        /// How fast the surface looked at moved on the image.
+        image_speed_px_per_s: f64,
+    },
+    /// Too much of the image is at full scale.
+    Saturated {
+        /// Share of the pixels.
+        share: f64,
+    },
+    /// No surface that reacts to tilting lies near the optical axis.
+    NoInformation,
+    /// Other images tell nearly all that this one does.
+    Redundant {
+        /// What it adds to them, as a share of all information.
+        gain_share: f64,
+    },
+    /// Kinect I: the projector's speckle, not the lamp.
+    Speckle {
+        /// High-pass energy as a share of the local mean.
+        energy: f64,
+    },
+    /// Kinect I: the image shows neither speckle nor the lamp.
+    Dark {
+        /// Share of the image that is lit.
+        lit_share: f64,
+    },
+    /// Kinect I: no speckle, but depth is there, so the projector is not covered.
+    Uncovered {
+        /// Share of the pixels with depth.
+        depth_share: f64,
+    },
+    /// Kinect I: the camera moved between the last depth before the exposures and the first after them.
+    NotStill {
+        /// Turn between the two.
+        rotation_rad: f64,
+        /// Distance between the two.
+        translation_m: f64,
+    },
+    /// Kinect I: the scene, or the camera, moved between the exposures.
+    Changed {
+        /// Share of the lit area that differs from the other exposures.
+        share: f64,
+    },
+    /// Kinect I: too few exposures of this pose are left.
+    FewExposures {
+        /// How many there are.
+        n_exposures: usize,
+    },
+    /// Kinect I: the pose has enough exposures without this one.
+    Surplus,
+    /// Kinect I: tracking did not find the camera again after the exposures.
+    LostAfter,
+    /// Kinect I: the stream ended before depth came back.
+    Unfinished,
+}
+
+impl fmt::Display for RejectReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            RejectReason::NotTracked => write!(f, "the pose is not known"),
+            RejectReason::NoDepth => write!(f, "no depth with the IR image"),
+            RejectReason::TooFast {
+                rotation_rad_per_s,
+                speed_m_per_s,
+                image_speed_px_per_s,
+            } => write!(
+                f,
+                "moving at {rotation_rad_per_s:.2} rad/s and {speed_m_per_s:.2} m/s, {image_speed_px_per_s:.0} px/s on the image"
+            ),
+            RejectReason::Saturated { share } => {
+                write!(f, "{:.1} % of the pixels are saturated", 100.0 * share)
+            }
+            RejectReason::NoInformation => {
+                write!(f, "no surface near the optical axis reacts to tilting")
+            }
+            RejectReason::Redundant { gain_share } => {
+                write!(f, "adds {:.2} % of information", 100.0 * gain_share)
+            }
+            RejectReason::Speckle { energy } => write!(f, "speckle of energy {energy:.3}"),
+            RejectReason::Dark { lit_share } => {
+                write!(f, "only {:.1} % of the image is lit", 100.0 * lit_share)
+            }
+            RejectReason::Uncovered { depth_share } => write!(
+                f,
+                "{:.1} % of the pixels have depth, the projector is not covered",
+                100.0 * depth_share
+            ),
+            RejectReason::NotStill {
+                rotation_rad,
+                translation_m,
+            } => write!(
+                f,
+                "not held still: {:.2}° and {:.1} mm from before to after",
+                rotation_rad.to_degrees(),
+                translation_m * 1000.0
+            ),
+            RejectReason::Changed { share } => write!(
+                f,
+                "{:.1} % of the lit area differs between exposures",
+                100.0 * share
+            ),
+            RejectReason::FewExposures { n_exposures } => {
+                write!(f, "{n_exposures} usable exposures of this pose")
+            }
+            RejectReason::Surplus => write!(f, "the pose has enough exposures"),
+            RejectReason::LostAfter => write!(f, "tracking was lost after the exposures"),
+            RejectReason::Unfinished => write!(f, "the stream ended before depth came back"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reasons_are_told_with_their_figures() {
+        let reason = RejectReason::NotStill {
+            rotation_rad: 0.01,
+            translation_m: 0.0042,
+        };
+        assert_eq!(
+            reason.to_string(),
+            "not held still: 0.57° and 4.2 mm from before to after"
+        );
+        let rejection = Rejection {
+            frame_id: 7,
+            reason: RejectReason::Speckle { energy: 0.5 },
+        };
+        assert_eq!(
+            serde_json::to_string(&rejection).unwrap(),
+            r#"{"frame_id":7,"reason":"speckle","energy":0.5}"#
+        );
+    }
+}
