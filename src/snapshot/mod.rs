@@ -7,7 +7,7 @@
 //! tilts of the surface that change its brightness, see `information.rs`.
 //!
 //! Pure: frames in, a selection out; memory is bounded by [`SnapshotParams::max_snapshots`] but for one line per rejected
-//! frame and one per 20 mm of surface. Not handled: ambient IR, a lamp that is moved by hand, IR that is not aligned with
+//! frame and one per 20 mm of surface and side that it was lit from. Not handled: ambient IR, a lamp that is moved by hand, IR that is not aligned with
 //! depth.
 
 mod kinect1;
