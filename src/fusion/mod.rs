@@ -116,7 +116,19 @@ impl FusionParams {
             0.01,
             100.0,
         )?;
-        within("max_speed_m_per_s", self.max_speed_m_per_s, 0.01, 100.0)
+        within("max_speed_m_per_s", self.max_speed_m_per_s, 0.01, 100.0)?;
+        let icp = &self.icp;
+        for level in 0..3 {
+            within("icp.iterations", icp.iterations[level] as f64, 0.0, 100.0)?;
+            within("icp.max_distance_m", icp.max_distance_m[level], 0.001, 1.0)?;
+        }
+        within(
+            "icp.max_normal_angle_rad",
+            icp.max_normal_angle_rad,
+            0.01,
+            1.57,
+        )?;
+        within("icp.sdf_iterations", icp.sdf_iterations as f64, 1.0, 100.0)
     }
 }
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct RefineParams {
     /// Edge length of the refined mesh, metres; about the footprint of a pixel.
     pub edge_length_m: f64,
-    /// A larger object is remeshed more coarsely, so as to have no more vertices than this.
+    /// A larger object is remeshed more coarsely, so as to have about this many vertices.
     pub max_vertices: usize,
     /// Outer rounds, Eq. (9).
     pub n_rounds: usize,
@@ -81,6 +81,12 @@ impl RefineParams {
                 1.0,
             ),
             ("alignment.gain_sigma", self.alignment.gain_sigma, 1e-6, 1.0),
+            (
+                "alignment.iterations",
+                self.alignment.iterations as f64,
+                0.0,
+                100.0,
+            ),
         ] {
             if !(value >= low && value <= high) {
                 return Err(format!("refine.{key} is {value}, must be {low} to {high}"));
