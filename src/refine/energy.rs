@@ -290,3 +290,38 @@ impl Surface {
         next
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivative_of_the_normal_matches_central_differences() {
+        let mesh = TriMesh {
+            vertices: vec![
+                Point3::new(0.0, 0.1, 0.6),
+                Point3::new(0.0013, 0.1002, 0.6004),
+                Point3::new(0.0005, 0.1011, 0.5997),
+            ],
+            faces: vec![[0, 1, 2]],
+        };
+        let directions = [[0.1, 0.2, -1.0], [-0.3, 0.1, -0.9], [0.2, -0.4, -0.8]]
+            .map(|d| Vector3::from(d).try_normalize(0.0).expect("not zero"));
+        let surface = Surface {
+            mesh,
+            directions: directions.to_vec(),
+            total_m: vec![0.0; 3],
+        };
+        let normal_of = |surface: &Surface| unit_normal(&surface.mesh, 0).expect("has an area").0;
+        let analytic = normal_by_displacement(&surface, 0, &normal_of(&surface));
+        for corner in 0..3 {
+            let moved = |step: f64| {
+                let mut steps = [0.0; 3];
+                steps[corner] = step;
+                normal_of(&surface.displaced(&steps))
+            };
+            let numeric = (moved(1e-7) - moved(-1e-7)) / 2e-7;
+            assert!((numeric - analytic[corner]).norm() < 1e-7 * analytic[corner].norm());
+        }
+    }
+}
