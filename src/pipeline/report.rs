@@ -59,6 +59,8 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
         let snapshots: Vec<&ShadingSnapshot> = snapshots.flat_map(|s| &s.accepted).collect();
         refined_mesh(refinement, &snapshots, path(REFINED_PLY))
     });
+    let mut warnings = warnings(subject, endings, account);
+    warnings.extend(refined_mesh.as_ref().and_then(misfit));
     Report {
         session: subject.session.clone(),
         sensor: subject.info.sensor.name().to_owned(),
@@ -79,7 +81,7 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
         }),
         refined_mesh,
         not_refined_reason: refined.not_refined_reason.clone(),
-        warnings: warnings(subject, endings, account),
+        warnings,
         timings: [fusion.timings.as_slice(), refined.timings.as_slice()].concat(),
         peak_memory_bytes: timing::peak_memory_bytes(),
         outputs: account
@@ -103,6 +105,23 @@ pub fn frame_counts(endings: &Endings) -> FrameCounts {
         dropped: endings.drops.frames.load(Ordering::Relaxed),
         without_depth: fusion.n_without_depth,
     }
+}
+
+/// Above this share of the mean intensity the light model does not explain the images: 0.02 to 0.18 where the calibration
+/// fits, 0.71 on a recording with a foreign calibration and textured albedo.
+const MAX_BELIEVABLE_RMSE: f64 = 0.4;
+
+/// The warning about a refined mesh that its images do not bear out.
+fn misfit(mesh: &RefinedMesh) -> Option<String> {
+    (mesh.rmse_after > MAX_BELIEVABLE_RMSE).then(|| {
+        format!(
+            "the refined mesh predicts the infrared images badly, {:.0} % of their mean intensity off (at most {:.0} % can be \
+             believed): response, light position or flat field do not belong to this sensor, or the surface has many \
+             albedos; rather use the base mesh",
+            100.0 * mesh.rmse_after,
+            100.0 * MAX_BELIEVABLE_RMSE
+        )
+    })
 }
 
 fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<String> {
