@@ -65,7 +65,7 @@ impl Default for SnapshotParams {
             max_exposures: 16,
             held_pose: HeldPose::default(),
             max_still_translation_m: 0.0025,
-            max_still_rotation_rad: 0.3 * std::f64::consts::PI / 180.0,
+            max_still_rotation_rad: 0.0052,
             max_changed_share: 0.02,
         }
     }
