@@ -10,6 +10,7 @@ mod icp;
 mod integrate;
 mod marching_cubes;
 mod noise;
+mod params;
 mod preprocess;
 mod raycast;
 #[cfg(test)]
@@ -18,6 +19,7 @@ mod volume;
 
 pub use icp::{Fit, IcpParams};
 pub use noise::DepthNoise;
+pub use params::FusionParams;
 pub use raycast::ModelMap;
 
 use crate::geometry::{CameraModel, Pose, TriMesh, increment, motion_between};
@@ -25,112 +27,8 @@ use depth_camera::Image;
 use nalgebra::Vector6;
 use preprocess::{FramePyramid, PyramidRays};
 use raycast::DepthRange;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use volume::TsdfVolume;
-
-/// What fusion needs to know; distances in metres.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FusionParams {
-    /// Distance between voxels: 2 mm for an object within a metre, 5 mm for a room.
-    pub voxel_size_m: f64,
-    /// Truncation distance in voxels; at least three depth sigmas should fit.
-    pub truncation_voxels: f64,
-    /// Nearer depth is ignored.
-    pub depth_min_m: f64,
-    /// Farther depth is ignored.
-    pub depth_max_m: f64,
-    /// Voxels seen with less than this weight (1 is one frontal view at 0.6 m) do not make a surface.
-    pub min_surface_weight: f64,
-    /// Alignment.
-    pub icp: IcpParams,
-    /// Below this share of points on the model the camera is lost: a 15 % gate let garbage in, 35 % never fired falsely.
-    pub min_inlier_share: f64,
-    /// Above this share of points behind the model's surface the camera is lost: up to 3 % when right, 11 % in
-    /// fast turns that uncover what was hidden, 17 to 45 % in a false lock.
-    pub max_see_through_share: f64,
-    /// Above this distance of the inliers to the model the camera is lost, in sigmas of the depth noise at their range.
-    pub max_rmse_sigmas: f64,
-    /// Below this conditioning the geometry does not hold the camera (a bare plane has 0).
-    pub min_conditioning: f64,
-    /// A faster turn is not believed, radians per second.
-    pub max_rotation_rad_per_s: f64,
-    /// A faster move is not believed, metres per second.
-    pub max_speed_m_per_s: f64,
-}
-
-impl Default for FusionParams {
-    fn default() -> Self {
-        FusionParams {
-            voxel_size_m: 0.002,
-            truncation_voxels: 5.0,
-            depth_min_m: 0.35,
-            depth_max_m: 2.0,
-            min_surface_weight: 2.0,
-            icp: IcpParams::default(),
-            min_inlier_share: 0.35,
-            max_see_through_share: 0.15,
-            max_rmse_sigmas: 5.0,
-            min_conditioning: 1e-4,
-            max_rotation_rad_per_s: 4.0,
-            max_speed_m_per_s: 2.0,
-        }
-    }
-}
-
-impl FusionParams {
-    /// Checks every value against its bound.
-    ///
-    /// # Errors
-    /// Names the key, its value and the bound.
-    pub fn validate(&self) -> Result<(), String> {
-        let within = |key: &str, value: f64, low: f64, high: f64| {
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(format!("fusion.{key} is {value}, must be {low} to {high}"))
-            }
-        };
-        within("voxel_size_m", self.voxel_size_m, 0.0005, 0.1)?;
-        within("truncation_voxels", self.truncation_voxels, 2.0, 20.0)?;
-        within("depth_min_m", self.depth_min_m, 0.1, 10.0)?;
-        within(
-            "depth_max_m",
-            self.depth_max_m,
-            self.depth_min_m + 0.05,
-            12.0,
-        )?;
-        within("min_surface_weight", self.min_surface_weight, 0.0, 200.0)?;
-        within("min_inlier_share", self.min_inlier_share, 0.0, 1.0)?;
-        within(
-            "max_see_through_share",
-            self.max_see_through_share,
-            0.0,
-            1.0,
-        )?;
-        within("max_rmse_sigmas", self.max_rmse_sigmas, 0.1, 100.0)?;
-        within("min_conditioning", self.min_conditioning, 0.0, 1.0)?;
-        within(
-            "max_rotation_rad_per_s",
-            self.max_rotation_rad_per_s,
-            0.01,
-            100.0,
-        )?;
-        within("max_speed_m_per_s", self.max_speed_m_per_s, 0.01, 100.0)?;
-        let icp = &self.icp;
-        for level in 0..3 {
-            within("icp.iterations", icp.iterations[level] as f64, 0.0, 100.0)?;
-            within("icp.max_distance_m", icp.max_distance_m[level], 0.001, 1.0)?;
-        }
-        within(
-            "icp.max_normal_angle_rad",
-            icp.max_normal_angle_rad,
-            0.01,
-            1.57,
-        )?;
-        within("icp.sdf_iterations", icp.sdf_iterations as f64, 1.0, 100.0)
-    }
-}
 
 /// Why the camera is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
