@@ -223,36 +223,12 @@ impl Halo {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::volume::{BLOCK_VOXELS, TSDF_ONE};
+    use crate::fusion::volume::tests::volume_of;
     use crate::geometry::EdgeAdjacency;
-
-    fn volume_of(distance: impl Fn(f64, f64, f64) -> f64) -> TsdfVolume {
-        let mut volume = TsdfVolume::new(0.002, 0.01);
-        for bx in -3..3 {
-            for by in -3..3 {
-                for bz in -3..3 {
-                    volume.allocate([bx, by, bz]);
-                }
-            }
-        }
-        let (coords, blocks) = volume.blocks_mut();
-        for (coord, block) in coords.iter().zip(blocks) {
-            for index in 0..BLOCK_VOXELS {
-                let at = |axis: usize, local: usize| {
-                    (coord[axis] * BLOCK_SIDE) as f64 * 0.002 + local as f64 * 0.002
-                };
-                let d = distance(at(0, index & 7), at(1, (index >> 3) & 7), at(2, index >> 6));
-                block.tsdf[index] =
-                    (d / 0.01).clamp(-1.0, 1.0).mul_add(TSDF_ONE as f64, 0.0) as i16;
-                block.weight[index] = 1000;
-            }
-        }
-        volume
-    }
 
     #[test]
     fn a_sphere_is_closed_oriented_and_in_its_place() {
-        let volume = volume_of(|x, y, z| (x * x + y * y + z * z).sqrt() - 0.0301);
+        let volume = volume_of(0.01, |x, y, z| (x * x + y * y + z * z).sqrt() - 0.0301);
         let mesh = marching_cubes(&volume, 1.0);
         let edges = EdgeAdjacency::new(&mesh);
         assert!(edges.n_faces.iter().all(|&n| n == 2), "closed");
@@ -281,7 +257,7 @@ mod tests {
             ((h.wrapping_mul(2_654_435_761) >> 7) % 1000) as f64 / 1000.0
         };
         let rim = |x: f64, y: f64, z: f64| x.abs().max(y.abs()).max(z.abs()) > 0.03;
-        let volume = volume_of(|x, y, z| {
+        let volume = volume_of(0.01, |x, y, z| {
             if rim(x, y, z) {
                 0.01
             } else {

@@ -235,12 +235,12 @@ fn table_cells(coord: BlockCoord) -> (usize, usize) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    /// A volume whose voxels hold the distance to a sphere about the origin.
-    fn sphere(radius_m: f32) -> TsdfVolume {
-        let mut volume = TsdfVolume::new(0.002, 0.02);
+    /// A volume of 2 mm voxels within 48 mm of the origin, all seen often, that hold a closed-form distance (m).
+    pub fn volume_of(truncation_m: f32, distance_m: impl Fn(f64, f64, f64) -> f64) -> TsdfVolume {
+        let mut volume = TsdfVolume::new(0.002, truncation_m);
         for bx in -3..3 {
             for by in -3..3 {
                 for bz in -3..3 {
@@ -251,13 +251,13 @@ mod tests {
         let (coords, blocks) = volume.blocks_mut();
         for (coord, block) in coords.iter().zip(blocks) {
             for index in 0..BLOCK_VOXELS {
-                let local = [index & 7, (index >> 3) & 7, index >> 6];
-                let p = Vector3::from_fn(|axis, _| {
-                    (coord[axis] * BLOCK_SIDE + local[axis] as i32) as f32 * 0.002
-                });
-                let distance = (p.norm() - radius_m) / 0.02;
-                block.tsdf[index] = (distance.clamp(-1.0, 1.0) * TSDF_ONE).round() as i16;
-                block.weight[index] = 256;
+                let at = |axis: usize, local: usize| {
+                    (coord[axis] * BLOCK_SIDE) as f64 * 0.002 + local as f64 * 0.002
+                };
+                let d = distance_m(at(0, index & 7), at(1, (index >> 3) & 7), at(2, index >> 6));
+                let share = (d / truncation_m as f64).clamp(-1.0, 1.0);
+                block.tsdf[index] = (share * TSDF_ONE as f64) as i16;
+                block.weight[index] = 1000;
             }
         }
         volume
@@ -265,7 +265,7 @@ mod tests {
 
     #[test]
     fn trilinear_distance_and_gradient_of_a_sphere() {
-        let volume = sphere(0.03);
+        let volume = volume_of(0.02, |x, y, z| (x * x + y * y + z * z).sqrt() - 0.03);
         for direction in [[1.0, 0.2, -0.4], [-0.3, 0.9, 0.1], [0.1, -0.5, -0.8]] {
             let direction = Vector3::from(direction)
                 .try_normalize(0.0)
