@@ -15,7 +15,6 @@ use crate::{
 };
 use crossbeam::channel::Receiver;
 use depth_camera::CameraInfo;
-use nalgebra::Point3;
 use rayon::ThreadPool;
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -189,7 +188,7 @@ fn run_refine(
     let rays = RayGrid::new(CameraModel::new(setup.info.intrinsics));
     let optics = Optics {
         rays: &rays,
-        light_camera: Point3::from(light.position_m),
+        light: setup.calibration.light.near_light(&light),
         full_scale,
         calibration: &setup.calibration,
     };

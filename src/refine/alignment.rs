@@ -7,7 +7,6 @@
 use super::energy::{Tukey, unit_normal};
 use super::view::View;
 use crate::geometry::{Pose, TriMesh, increment};
-use crate::shading::falloff_by_point;
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -117,13 +116,12 @@ fn row(
     centre: &Point3<f64>,
 ) -> Option<(f64, Vector7)> {
     let sample = view.sample(point, normal)?;
-    let (light, n) = (view.light_camera(), &sample.normal_camera);
+    let (light, n) = (view.light(), &sample.normal_camera);
     let prediction = albedo * sample.unit_prediction;
-    let to_light = light - sample.point_camera;
     let scale = sample.gain * albedo;
-    let by_normal = -to_light * (scale / to_light.norm().powi(3));
+    let by_normal = light.incident(&sample.point_camera) * -scale;
     let by_point =
-        view.image_gradient(&sample)? - falloff_by_point(&sample.point_camera, n, light) * scale;
+        view.image_gradient(&sample)? - light.irradiance_by_point(&sample.point_camera, n) * scale;
     // A turn ω moves the point by ω × lever and the normal by ω × n.
     let lever = sample.point_camera - centre;
     let by_turn = lever.cross(&by_point) + n.cross(&by_normal);

@@ -2,7 +2,7 @@
 
 use super::view::{ImageTrust, Optics, View, ViewContext};
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, increment};
-use crate::shading::{Calibration, falloff};
+use crate::shading::{Calibration, NearLight};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics, Sensor};
 use nalgebra::{Point3, Vector3, Vector6};
@@ -98,8 +98,13 @@ impl RippledPlane {
             depth += (self.depth(p.x, p.y) - p.z) / direction.z;
         }
         let p = Point3::from(origin + direction * depth);
-        let light = world_from_camera * optics.light_camera;
-        let linear = ALBEDO * falloff(&p, &self.normal(p.x, p.y), &light).max(0.0);
+        let camera_from_world = world_from_camera.inverse();
+        let normal = camera_from_world * self.normal(p.x, p.y);
+        let linear = ALBEDO
+            * optics
+                .light
+                .irradiance(&(camera_from_world * p), &normal)
+                .max(0.0);
         let flat = optics.calibration.flat_field.factor(x, y);
         (
             depth,
@@ -134,7 +139,10 @@ pub fn calibration() -> Calibration {
 pub fn optics<'a>(rays: &'a RayGrid, calibration: &'a Calibration) -> Optics<'a> {
     Optics {
         rays,
-        light_camera: Point3::new(0.05, 0.0, 0.004),
+        light: NearLight {
+            position: Point3::new(0.05, 0.0, 0.004),
+            lobe_power: calibration.light.lobe_power,
+        },
         full_scale: FULL_SCALE,
         calibration,
     }

@@ -3,7 +3,7 @@
 
 use super::gain_field::GainField;
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, rasterise};
-use crate::shading::{Calibration, LinearImage, falloff, linearise};
+use crate::shading::{Calibration, LinearImage, NearLight, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics};
 use nalgebra::{Point3, Vector2, Vector3};
@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 pub struct Optics<'a> {
     /// Rays and camera of the images.
     pub rays: &'a RayGrid,
-    /// Position of the light in the camera frame, metres.
-    pub light_camera: Point3<f64>,
+    /// The light.
+    pub light: NearLight,
     /// IR counts at full scale.
     pub full_scale: f64,
     /// Response, flat field and noise.
@@ -61,7 +61,7 @@ impl Default for ImageTrust {
 #[derive(Clone, Debug)]
 pub struct View {
     camera: CameraModel,
-    light_camera: Point3<f64>,
+    light: NearLight,
     linear: LinearImage,
     /// Surface seen from the camera, metres.
     camera_depth_m: Image<f32>,
@@ -133,7 +133,7 @@ impl View {
         let camera_from_world = snapshot.world_from_camera.inverse();
         let camera_depth_m = rasterise(scene, &camera, &camera_from_world).depth_m;
         let light_model = light_camera_model();
-        let light_from_camera = nalgebra::Translation3::from(-optics.light_camera.coords);
+        let light_from_camera = nalgebra::Translation3::from(-optics.light.position.coords);
         let light_depth_m = rasterise(
             scene,
             &light_model,
@@ -152,7 +152,7 @@ impl View {
         let cell_px = (trust.gain_cell_m * camera.intrinsics().fx / distance_m).max(4.0);
         View {
             camera,
-            light_camera: optics.light_camera,
+            light: optics.light,
             linear,
             camera_depth_m,
             light_model,
@@ -175,7 +175,7 @@ impl View {
         // Hiding is judged where the tracker put the camera, since the buffers were rendered from there.
         let point = self.tracked_camera_from_world * point_world;
         let normal = self.tracked_camera_from_world * normal_world;
-        let to_light = self.light_camera - point;
+        let to_light = self.light.position - point;
         let facing =
             |direction: &Vector3<f64>| normal.dot(direction) > MIN_COSINE * direction.norm();
         if !facing(&-point.coords) || !facing(&to_light) {
@@ -194,7 +194,7 @@ impl View {
         let pixel = self.camera.project(&point_camera)?;
         let (observed, gradient, noise) = self.linear.sample(pixel.x, pixel.y)?;
         let gain = self.gain * self.gain_field.at(&pixel);
-        let unit_prediction = gain * falloff(&point_camera, &normal_camera, &self.light_camera);
+        let unit_prediction = gain * self.light.irradiance(&point_camera, &normal_camera);
         let slope_squared = gradient[0] * gradient[0] + gradient[1] * gradient[1];
         let sigma = (noise * noise
             + (self.trust.model_error * observed).powi(2)
@@ -221,8 +221,8 @@ impl View {
     ) -> Option<Residual> {
         let sample = self.sample(point, normal)?;
         let inv_sigma = 1.0 / sample.sigma;
-        let to_light = self.light_camera - sample.point_camera;
-        let by_normal = to_light * (-sample.gain * albedo * inv_sigma / to_light.norm().powi(3));
+        let by_normal =
+            self.light.incident(&sample.point_camera) * (-sample.gain * albedo * inv_sigma);
         Some(Residual {
             value: (sample.observed - albedo * sample.unit_prediction) * inv_sigma,
             by_normal: self.camera_from_world.rotation.inverse() * by_normal,
@@ -236,9 +236,9 @@ impl View {
         Some((jacobian.row(0) * du + jacobian.row(1) * dv).transpose())
     }
 
-    /// The light in the camera frame, metres.
-    pub fn light_camera(&self) -> &Point3<f64> {
-        &self.light_camera
+    /// The light.
+    pub fn light(&self) -> &NearLight {
+        &self.light
     }
 
     /// Pixels that a patch of the surface covers: its area (m²), foreshortened, over that of a pixel at its depth.

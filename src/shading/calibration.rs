@@ -1,6 +1,8 @@
 //! What has to be known of a sensor before its IR values measure light.
 
-use depth_camera::Sensor;
+use super::{FlatField, NearLight};
+use depth_camera::{Light, Sensor};
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 /// Response, flat field and noise of one sensor's IR image.
@@ -9,28 +11,31 @@ use serde::{Deserialize, Serialize};
 pub struct Calibration {
     /// Exponent of the response: observed = linear^gamma, both as shares of full scale.
     pub gamma: f64,
-    /// How the image darkens towards its corners.
+    /// How the lens darkens the image towards its corners.
     pub flat_field: FlatField,
+    /// The light's lobe and place.
+    pub light: LightCalibration,
     /// Noise of the observed values.
     pub noise: ImageNoise,
 }
 
-/// The direction-dependent factor of emitter lobe and lens.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
-pub enum FlatField {
-    /// `cos(angle to the optical axis)^power`.
-    CosinePower {
-        /// The exponent; 0 is a flat image.
-        power: f64,
-    },
+/// What is known of the light beside its kind.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightCalibration {
+    /// Exponent of the emission's cosine about the optical axis; 0 shines evenly.
+    pub lobe_power: f64,
+    /// Measured position in the IR camera frame, metres; without it the device's own statement holds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<[f64; 3]>,
 }
 
-impl FlatField {
-    /// The factor for the ray (X/Z, Y/Z); 1 on the optical axis.
-    pub fn factor(&self, x: f64, y: f64) -> f64 {
-        match self {
-            FlatField::CosinePower { power } => (1.0 + x * x + y * y).powf(-0.5 * power),
+impl LightCalibration {
+    /// The light of a device whose own description is `stated`.
+    pub fn near_light(&self, stated: &Light) -> NearLight {
+        NearLight {
+            position: Point3::from(self.position_m.unwrap_or(stated.position_m)),
+            lobe_power: self.lobe_power,
         }
     }
 }
@@ -76,15 +81,20 @@ impl Calibration {
     }
 
     fn validate(&self) -> Result<(), String> {
-        let FlatField::CosinePower { power } = self.flat_field;
+        self.flat_field.validate()?;
         for (key, value, low, high) in [
             ("gamma", self.gamma, 0.2, 3.0),
-            ("flat_field.power", power, 0.0, 12.0),
+            ("light.lobe_power", self.light.lobe_power, 0.0, 12.0),
             ("noise.read", self.noise.read, 1e-6, 0.2),
             ("noise.shot", self.noise.shot, 0.0, 0.2),
         ] {
             if !(value >= low && value <= high) {
                 return Err(format!("{key} is {value}, must be {low} to {high}"));
+            }
+        }
+        for value in self.light.position_m.unwrap_or_default() {
+            if !(value.abs() <= 2.0) {
+                return Err(format!("light.position_m holds {value}, must be -2 to 2"));
             }
         }
         Ok(())
@@ -104,7 +114,7 @@ mod tests {
 
     #[test]
     fn bad_values_are_named_with_their_bound() {
-        let text = "gamma = 0.0\nflat_field = { model = \"cosine_power\", power = 3.0 }\nnoise = { read = 0.01, shot = 0.0 }";
+        let text = "gamma = 0.0\nflat_field = { model = \"cosine_power\", power = 3.0 }\nlight = { lobe_power = 0.0 }\nnoise = { read = 0.01, shot = 0.0 }";
         assert_eq!(
             Calibration::from_toml(text),
             Err("gamma is 0, must be 0.2 to 3".into())

@@ -1,27 +1,70 @@
-//! Irradiance under the near point light.
+//! The near light that moves with the camera.
 
 use nalgebra::{Point3, Vector3};
 
-/// `(n·l)/d²` of Eq. (1), per square metre, as `n·v/|v|³` with v from the surface to the light; negative where the surface
-/// faces away. Any frame, the same for all three.
-#[inline]
-pub fn falloff(point: &Point3<f64>, normal: &Vector3<f64>, light: &Point3<f64>) -> f64 {
-    let v = light - point;
-    let squared = v.norm_squared();
-    normal.dot(&v) / (squared * squared.sqrt())
+/// A near point light in the camera frame whose emission falls off by a cosine power about the camera's optical axis.
+///
+/// The emitter of a Kinect II has such a lobe. It depends on the direction *from the light*, so that it cannot be part of a
+/// flat field, which depends on the pixel: with the light 5 cm beside the camera the two differ by 5 % at 0.6 m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearLight {
+    /// Position in the camera frame, metres.
+    pub position: Point3<f64>,
+    /// Exponent of the cosine between the ray from the light and the optical axis; 0 for a lamp that shines evenly.
+    pub lobe_power: f64,
 }
 
-/// Derivative of [`falloff`] by the point, per cubic metre: `−n/|v|³ + 3 (n·v) v/|v|⁵`.
-#[inline]
-pub fn falloff_by_point(
-    point: &Point3<f64>,
-    normal: &Vector3<f64>,
-    light: &Point3<f64>,
-) -> Vector3<f64> {
-    let v = light - point;
-    let squared = v.norm_squared();
-    let inv_cubed = 1.0 / (squared * squared.sqrt());
-    v * (3.0 * normal.dot(&v) * inv_cubed / squared) - normal * inv_cubed
+impl NearLight {
+    /// A light that shines evenly.
+    pub fn even(position: Point3<f64>) -> Self {
+        NearLight {
+            position,
+            lobe_power: 0.0,
+        }
+    }
+
+    /// Light that reaches a point (m, camera frame) as a vector towards the light, per square metre: `E · v/|v|³` with v
+    /// from the point to the light and the lobe E. Its product with the normal is the irradiance, so that it is also the
+    /// derivative of [`Self::irradiance`] by the normal. Zero behind the light.
+    #[inline]
+    pub fn incident(&self, point: &Point3<f64>) -> Vector3<f64> {
+        let v = self.position - point;
+        let squared = v.norm_squared();
+        v * (self.lobe(-v.z, squared) / (squared * squared.sqrt()))
+    }
+
+    /// `E · (n·l)/d²` of Eq. (1), per square metre; negative where the surface faces away.
+    #[inline]
+    pub fn irradiance(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
+        normal.dot(&self.incident(point))
+    }
+
+    /// Derivative of [`Self::irradiance`] by the point, per cubic metre.
+    #[inline]
+    pub fn irradiance_by_point(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
+        let v = self.position - point;
+        let squared = v.norm_squared();
+        let scale = self.lobe(-v.z, squared) / (squared * squared.sqrt());
+        let irradiance = normal.dot(&v) * scale;
+        // log E = power · (log w_z − log|w|), w = −v; the point moves w, and v the other way.
+        let lobe_slope = if self.lobe_power == 0.0 || v.z >= 0.0 {
+            0.0
+        } else {
+            self.lobe_power * irradiance / -v.z
+        };
+        v * ((3.0 + self.lobe_power) * irradiance / squared) - normal * scale
+            + Vector3::new(0.0, 0.0, lobe_slope)
+    }
+
+    /// The emission towards a point at depth `z` from the light; `squared` is its squared distance.
+    #[inline]
+    fn lobe(&self, z: f64, squared: f64) -> f64 {
+        if self.lobe_power == 0.0 {
+            1.0
+        } else {
+            (z.max(0.0) / squared.sqrt()).powf(self.lobe_power)
+        }
+    }
 }
 
 #[cfg(test)]
@@ -31,25 +74,37 @@ mod tests {
     #[test]
     fn derivative_matches_central_differences() {
         let point = Point3::new(0.1, -0.05, 0.7);
-        let light = Point3::new(0.05, 0.01, 0.0);
         let normal = Vector3::new(0.3, -0.2, -0.9)
             .try_normalize(0.0)
             .expect("not zero");
-        let gradient = falloff_by_point(&point, &normal, &light);
-        for axis in 0..3 {
-            let mut step = Vector3::zeros();
-            step[axis] = 1e-5;
-            let numeric = (falloff(&(point + step), &normal, &light)
-                - falloff(&(point - step), &normal, &light))
-                / 2e-5;
-            assert!((numeric - gradient[axis]).abs() < 1e-7 * gradient.norm());
+        for lobe_power in [0.0, 2.0, 3.5] {
+            let light = NearLight {
+                position: Point3::new(0.05, 0.01, 0.0),
+                lobe_power,
+            };
+            let gradient = light.irradiance_by_point(&point, &normal);
+            for axis in 0..3 {
+                let mut step = Vector3::zeros();
+                step[axis] = 1e-5;
+                let numeric = (light.irradiance(&(point + step), &normal)
+                    - light.irradiance(&(point - step), &normal))
+                    / 2e-5;
+                assert!((numeric - gradient[axis]).abs() < 1e-7 * gradient.norm());
+            }
         }
     }
 
     #[test]
-    fn irradiance_falls_with_the_square_of_distance() {
+    fn irradiance_falls_with_the_square_of_distance_and_the_power_of_the_cosine() {
         let normal = Vector3::new(0.0, 0.0, -1.0);
-        let at = |z: f64| falloff(&Point3::new(0.0, 0.0, z), &normal, &Point3::origin());
-        assert!((at(0.5) / at(1.0) - 4.0).abs() < 1e-12);
+        let light = NearLight {
+            position: Point3::new(0.1, 0.0, 0.0),
+            lobe_power: 2.0,
+        };
+        let at = |x: f64, z: f64| light.irradiance(&Point3::new(0.1 + x, 0.0, z), &normal);
+        assert!((at(0.0, 0.5) / at(0.0, 1.0) - 4.0).abs() < 1e-12);
+        // 45° from the axis: half of it by the squared distance, 2^-1/2 by incidence, half by the lobe.
+        assert!((at(0.5, 0.5) / at(0.0, 0.5) - 0.25 / 2.0f64.sqrt()).abs() < 1e-12);
+        assert_eq!(at(0.0, -0.5), 0.0);
     }
 }

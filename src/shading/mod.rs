@@ -1,13 +1,15 @@
 //! The near point light model, Eq. (1), forwards and inverted: light, response, flat field.
 //!
-//! `I_obs / full scale = (c · flat(pixel) · rho · (n·l) / d²)^gamma`, with the unit vector l from the surface to the light and
-//! the distance d between them. `c` and the scale of `rho` cannot be told apart; their product is called albedo here.
+//! `I_obs / full scale = (c · flat(pixel) · lobe(direction from the light) · rho · (n·l) / d²)^gamma`, with the unit vector l
+//! from the surface to the light and the distance d between them. `c` and the scale of `rho` cannot be told apart; their product is called albedo here.
 //! Ambient light is not modelled: the sensors' bandpass and demodulation remove it.
 
 mod calibration;
+mod flat_field;
 mod light;
 mod linear;
 
-pub use calibration::{Calibration, FlatField, ImageNoise};
-pub use light::{falloff, falloff_by_point};
+pub use calibration::{Calibration, ImageNoise, LightCalibration};
+pub use flat_field::{FlatField, FlatMap, SplineGrid};
+pub use light::NearLight;
 pub use linear::{LinearImage, linearise};
