@@ -5,11 +5,12 @@
 //! criterion chooses, each facet given to the component that it and its neighbours like best (a Potts model, by iterated
 //! conditional modes).
 
-use super::energy::{Tukey, unit_normal, views_of};
+use super::energy::{unit_normal, views_of};
 use super::mixture::Mixture;
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::shading::Tukey;
 use rayon::prelude::*;
 
 /// Numerator and denominator of a ratio of sums.

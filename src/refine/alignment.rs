@@ -4,9 +4,10 @@
 //! A view's parameters are a turn about the object's centre, a shift, and the logarithm of its gain. About that centre a turn
 //! and a shift move pixels in different ways, so that both are determined.
 
-use super::energy::{Tukey, unit_normal};
+use super::energy::unit_normal;
 use super::view::View;
 use crate::geometry::{Pose, TriMesh, increment};
+use crate::shading::Tukey;
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 

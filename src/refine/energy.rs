@@ -9,6 +9,7 @@ use super::couplings::Couplings;
 use super::patches::Patch;
 use super::view::View;
 use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::shading::Tukey;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
@@ -52,29 +53,6 @@ pub struct Problem<'a> {
     pub patches: &'a [Patch],
     /// Edges of the mesh.
     pub edges: &'a EdgeAdjacency,
-}
-
-/// Tukey's biweight: residuals beyond `cutoff · scale` do not count at all.
-#[derive(Clone, Copy, Debug)]
-pub struct Tukey {
-    /// Robust standard deviation of the residuals.
-    pub scale: f64,
-    /// Cut-off in scales; 4.685 is 95 % efficient on Gaussian residuals.
-    pub cutoff: f64,
-}
-
-impl Tukey {
-    /// Loss of a residual: `c²/6 · (1 − (1 − (r/c)²)³)`, in squared scales.
-    pub fn loss(&self, residual: f64) -> f64 {
-        let t = 1.0 - (residual / (self.scale * self.cutoff)).powi(2);
-        self.cutoff * self.cutoff / 6.0 * (1.0 - t.max(0.0).powi(3))
-    }
-
-    /// Weight of a squared residual in scales: `(1 − (r/c)²)²`, over the squared scale.
-    pub fn weight(&self, residual: f64) -> f64 {
-        let t = (1.0 - (residual / (self.scale * self.cutoff)).powi(2)).max(0.0);
-        t * t / (self.scale * self.scale)
-    }
 }
 
 /// Normal equations: `diagonal` by vertex, `off_diagonal` by edge, `gradient` by vertex.

@@ -2,13 +2,14 @@
 
 use super::albedo::Albedo;
 use super::alignment::{AlignmentTarget, align_view};
-use super::energy::{PriorWeights, Problem, Surface, Tukey, unit_normal};
+use super::energy::{PriorWeights, Problem, Surface, unit_normal};
 use super::params::RefineParams;
 use super::patches::Patch;
 use super::sites::Sites;
 use super::solver::{Iteration, Pattern, RefineStatus, SolverParams, minimise};
 use super::view::View;
 use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::shading::Tukey;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 

@@ -3,6 +3,7 @@
 use super::energy::{unit_normal, views_of};
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::shading::median_absolute_deviation;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
@@ -52,7 +53,7 @@ impl Sites {
             .collect()
     }
 
-    /// Robust standard deviation of all residuals, in sigmas, at least 1: 1.4826 times their median magnitude.
+    /// Robust standard deviation of all residuals, in sigmas, at least 1: [`median_absolute_deviation`].
     pub fn residual_scale(&self, mesh: &TriMesh, views: &[View], albedo: &[f64]) -> f64 {
         let mut magnitudes: Vec<f64> = (0..mesh.faces.len())
             .into_par_iter()
@@ -68,11 +69,7 @@ impl Sites {
                 })
             })
             .collect();
-        if magnitudes.is_empty() {
-            return 1.0;
-        }
-        let middle = magnitudes.len() / 2;
-        (1.4826 * *magnitudes.select_nth_unstable_by(middle, f64::total_cmp).1).max(1.0)
+        median_absolute_deviation(&mut magnitudes).max(1.0)
     }
 
     /// Rendered against observed linear intensity, by view.

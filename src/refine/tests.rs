@@ -2,11 +2,12 @@
 
 use super::alignment::{AlignmentParams, AlignmentTarget, align_view};
 use super::couplings::Couplings;
-use super::energy::{PriorWeights, Problem, Surface, Tukey};
+use super::energy::{PriorWeights, Problem, Surface};
 use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views};
 use super::sites::Sites;
 use super::{RefineError, RefineParams, RefineStatus, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
+use crate::shading::Tukey;
 use nalgebra::{Point3, Vector6};
 
 const RIPPLED: RippledPlane = RippledPlane {

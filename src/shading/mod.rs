@@ -8,8 +8,10 @@ mod calibration;
 mod flat_field;
 mod light;
 mod linear;
+mod tukey;
 
 pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
 pub use light::NearLight;
 pub use linear::{LinearImage, linearise};
+pub use tukey::{Tukey, median_absolute_deviation};

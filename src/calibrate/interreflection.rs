@@ -1,0 +1,130 @@
+//! What lights a sphere a second time: everything else that the camera sees.
+//!
+//! A Lambertian patch of the surroundings that looks L bright sends `L cosθ cosθ' dA/(π d²)` to the sphere, where a
+//! perfectly white surface would look as bright. With light and camera side by side, what the camera does not see the
+//! light hardly reaches, so that the IR and depth images hold nearly all of it; what lies beyond the image's border is
+//! missing. Later bounces are in it, since the patches are as bright as they are seen.
+
+use super::Sensor;
+use super::gather::TargetImage;
+use super::state::State;
+use nalgebra::{Matrix3, Point3, Vector3};
+use std::f64::consts::PI;
+
+/// The patches round a sphere in one image.
+pub struct Surroundings {
+    patches: Vec<Patch>,
+}
+
+/// A patch: `weight` is its brightness times its area over π.
+struct Patch {
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+    weight: f64,
+}
+
+/// Side of a patch, pixels.
+const PATCH_PX: usize = 10;
+/// Patches whose depth differs by more than this share are edges.
+const MAX_DEPTH_STEP: f64 = 0.12;
+/// Grazing patches are taken at this cosine: their area is uncertain.
+const MIN_COSINE: f64 = 0.08;
+/// Depth within this distance of the sphere's surface is the sphere, metres; multipath near the contact bends it.
+const OFF_SPHERE_M: f64 = 0.012;
+
+impl Surroundings {
+    /// The patches of an image, without the sphere itself.
+    pub fn new(
+        shown: &TargetImage,
+        sensor: &Sensor,
+        state: &State,
+        centre: &Vector3<f64>,
+        radius_m: f64,
+    ) -> Self {
+        let (width, height) = (shown.depth_m.width(), shown.depth_m.height());
+        let scene = Scene {
+            shown,
+            sensor,
+            state,
+        };
+        let corners = (0..height / PATCH_PX)
+            .flat_map(|row| (0..width / PATCH_PX).map(move |column| (column, row)));
+        let patches = corners
+            .filter_map(|(column, row)| scene.patch(column * PATCH_PX, row * PATCH_PX))
+            .filter(|patch| (patch.point.coords - centre).norm() > radius_m + OFF_SPHERE_M)
+            .collect();
+        Surroundings { patches }
+    }
+
+    /// Linear intensity that a perfectly white surface would show of their light.
+    pub fn at(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
+        let of_patch = |patch: &Patch| {
+            let across = patch.point - point;
+            let here = normal.dot(&across).max(0.0);
+            let there = -patch.normal.dot(&across).min(0.0);
+            let squared = across.norm_squared();
+            patch.weight * here * there / (squared * squared)
+        };
+        self.patches.iter().map(of_patch).sum()
+    }
+}
+
+/// One image and what the sensor makes of it.
+struct Scene<'a> {
+    shown: &'a TargetImage,
+    sensor: &'a Sensor<'a>,
+    state: &'a State,
+}
+
+impl Scene<'_> {
+    /// The plane through the depth of a square of pixels, and its mean brightness.
+    fn patch(&self, u0: usize, v0: usize) -> Option<Patch> {
+        let (mut points, mut linear) = (Vec::with_capacity(PATCH_PX * PATCH_PX), 0.0);
+        for v in v0..v0 + PATCH_PX {
+            for u in u0..u0 + PATCH_PX {
+                let [x, y] = self.sensor.rays.rays().at(u, v).map(f64::from);
+                let z = f64::from(*self.shown.depth_m.at(u, v));
+                if z <= 0.0 || !x.is_finite() {
+                    continue;
+                }
+                points.push(Vector3::new(x, y, 1.0) * z);
+                let observed = f64::from(*self.shown.ir_counts.at(u, v)) / self.sensor.full_scale;
+                linear += observed.max(0.0).powf(1.0 / self.state.gamma)
+                    / self.state.flat.log_factor(x, y).exp();
+            }
+        }
+        patch_of(&points, linear, self.sensor)
+    }
+}
+
+/// The plane through points, whose linear intensities sum to `linear`.
+fn patch_of(points: &[Vector3<f64>], linear: f64, sensor: &Sensor) -> Option<Patch> {
+    if points.len() < PATCH_PX * PATCH_PX / 2 {
+        return None;
+    }
+    let n = points.len() as f64;
+    let middle = points.iter().sum::<Vector3<f64>>() / n;
+    let nearest = points.iter().map(|p| p.z).fold(f64::MAX, f64::min);
+    let farthest = points.iter().map(|p| p.z).fold(0.0, f64::max);
+    if farthest - nearest > MAX_DEPTH_STEP * middle.z {
+        return None;
+    }
+    let scatter: Matrix3<f64> = points
+        .iter()
+        .map(|p| (p - middle) * (p - middle).transpose())
+        .sum();
+    let eigen = scatter.symmetric_eigen();
+    let normal: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
+    let normal = normal * -normal.dot(&middle).signum();
+    let cosine = (-normal.dot(&middle) / middle.norm()).max(MIN_COSINE);
+    let i = sensor.rays.camera().intrinsics();
+    // Area of the pixels at this depth, seen from the camera, over the slant: d² dω / cosθ with dω = cos³/(fx fy).
+    let axis_cosine = middle.z / middle.norm();
+    let solid_angle = n * axis_cosine.powi(3) / (i.fx * i.fy);
+    let area_m2 = middle.norm_squared() * solid_angle / cosine;
+    Some(Patch {
+        point: Point3::from(middle),
+        normal,
+        weight: linear / n * area_m2 / PI,
+    })
+}

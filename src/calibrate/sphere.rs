@@ -1,0 +1,175 @@
+//! The sphere in the fused mesh.
+
+use super::refusal::Refusal;
+use crate::geometry::TriMesh;
+use nalgebra::{Matrix4, Point3, Vector3, Vector4};
+
+/// What is known of the sphere's radius beforehand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BallRadius {
+    /// Nothing: depth and limb say it.
+    Unknown,
+    /// Measured with callipers, metres.
+    Given(f64),
+}
+
+/// A sphere in a fused mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundSphere {
+    /// Its centre, world frame, metres.
+    pub centre_world: Point3<f64>,
+    /// Its radius, metres: given, or as fused.
+    pub radius_m: f64,
+    /// How well the radius is known, metres.
+    pub radius_sigma_m: f64,
+    /// Share of the sphere's front that the mesh covers.
+    pub coverage: f64,
+}
+
+/// Spheres that a desk holds and a Kinect sees well, metres.
+const RADIUS_BOUNDS_M: [f64; 2] = [0.03, 0.4];
+const N_DRAWS: usize = 20_000;
+const N_SCORED: usize = 3_000;
+/// A vertex lies on the sphere within this distance, as a share of the radius, and at least 2 mm: multipath near a table
+/// bends depth by 5 mm.
+const TOLERANCE_SHARE: f64 = 0.03;
+/// And its normal within this angle of the radius, as a cosine (20°).
+const MIN_NORMAL_COSINE: f64 = 0.94;
+/// A sphere shows at least this share of its front in the mesh.
+const MIN_COVERAGE: f64 = 0.35;
+/// What fusion and multipath may do to the radius: 4 % on a recorded sphere on a table.
+const FUSED_RADIUS_ERROR: f64 = 0.06;
+/// What callipers may do to it.
+const GIVEN_RADIUS_ERROR: f64 = 0.002;
+
+/// A vertex with its normal.
+type Oriented = (Point3<f64>, Vector3<f64>);
+
+/// The sphere that most of the mesh lies on, by RANSAC over pairs of vertices with their normals.
+///
+/// # Errors
+/// If there is none that is seen well enough.
+pub fn find_sphere(
+    mesh: &TriMesh,
+    radius: BallRadius,
+    session: &str,
+) -> Result<FoundSphere, Refusal> {
+    let refusal = |coverage: f64| Refusal::NoSphere {
+        session: session.to_owned(),
+        coverage,
+        required: MIN_COVERAGE,
+    };
+    let vertices: Vec<Oriented> = mesh
+        .vertices
+        .iter()
+        .copied()
+        .zip(mesh.vertex_normals())
+        .collect();
+    if vertices.len() < 100 {
+        return Err(refusal(0.0));
+    }
+    let mut random = fastrand::Rng::with_seed(1);
+    let mut draw = |n: usize| -> Vec<Oriented> {
+        (0..n)
+            .map(|_| vertices[random.usize(..vertices.len())])
+            .collect()
+    };
+    let scored = draw(N_SCORED);
+    let (first, second) = (draw(N_DRAWS), draw(N_DRAWS));
+    let mut best = (0.0, Point3::origin(), 0.0);
+    for (a, b) in first.iter().zip(&second) {
+        let Some((centre, r)) = sphere_of_pair(a, b, radius) else {
+            continue;
+        };
+        let votes = scored.iter().filter(|v| lies_on(v, &centre, r)).count() as f64;
+        if votes > best.0 {
+            best = (votes, centre, r);
+        }
+    }
+    let (_, mut centre, mut r) = best;
+    for _ in 0..10 {
+        (centre, r) = refit(&vertices, &centre, r, radius).ok_or_else(|| refusal(0.0))?;
+    }
+    let coverage = covered_share(mesh, &centre, r);
+    if coverage < MIN_COVERAGE {
+        return Err(refusal(coverage));
+    }
+    Ok(FoundSphere {
+        centre_world: centre,
+        radius_m: r,
+        radius_sigma_m: r * match radius {
+            BallRadius::Unknown => FUSED_RADIUS_ERROR,
+            BallRadius::Given(_) => GIVEN_RADIUS_ERROR,
+        },
+        coverage,
+    })
+}
+
+/// Where the normals of two vertices meet, nearly; `None` where they do not.
+fn sphere_of_pair(a: &Oriented, b: &Oriented, radius: BallRadius) -> Option<(Point3<f64>, f64)> {
+    let (across, turn) = (b.0 - a.0, b.1 - a.1);
+    let turned = turn.norm_squared();
+    if turned < 0.05 {
+        return None;
+    }
+    // Least squares of b + r n_b = a + r n_a, seen from the centre.
+    let r = match radius {
+        BallRadius::Unknown => across.dot(&turn) / turned,
+        BallRadius::Given(r) => r,
+    };
+    let gap = (across - turn * r).norm();
+    let in_bounds = r > RADIUS_BOUNDS_M[0] && r < RADIUS_BOUNDS_M[1];
+    (in_bounds && gap < 2.0 * tolerance_m(r)).then(|| {
+        let centre = ((a.0 - a.1 * r).coords + (b.0 - b.1 * r).coords) * 0.5;
+        (Point3::from(centre), r)
+    })
+}
+
+fn tolerance_m(r: f64) -> f64 {
+    (TOLERANCE_SHARE * r).max(0.002)
+}
+
+fn lies_on((point, normal): &Oriented, centre: &Point3<f64>, r: f64) -> bool {
+    let arm = point - centre;
+    let distance = arm.norm();
+    (distance - r).abs() < tolerance_m(r) && normal.dot(&arm) > MIN_NORMAL_COSINE * distance
+}
+
+/// One step of least squares on the distances of the vertices that lie on the sphere.
+fn refit(
+    vertices: &[Oriented],
+    centre: &Point3<f64>,
+    r: f64,
+    radius: BallRadius,
+) -> Option<(Point3<f64>, f64)> {
+    let (mut jtj, mut jtr) = (Matrix4::zeros(), Vector4::zeros());
+    for (point, _) in vertices.iter().filter(|v| lies_on(v, centre, r)) {
+        let arm = point - centre;
+        let distance = arm.norm();
+        let out = arm / distance;
+        let by_radius = match radius {
+            BallRadius::Unknown => 1.0,
+            BallRadius::Given(_) => 0.0,
+        };
+        let row = Vector4::new(out.x, out.y, out.z, by_radius);
+        jtj += row * row.transpose();
+        jtr += row * (distance - r);
+    }
+    if let BallRadius::Given(_) = radius {
+        jtj[(3, 3)] = 1.0;
+    }
+    let step = jtj.cholesky()?.solve(&jtr);
+    Some((centre + step.xyz(), r + step.w))
+}
+
+/// Area of the mesh on the sphere, over that of half the sphere.
+fn covered_share(mesh: &TriMesh, centre: &Point3<f64>, r: f64) -> f64 {
+    let on_sphere = mesh.filter_faces(|face| {
+        let [a, b, c] = mesh.corners(face);
+        let normal = (b - a).cross(&(c - a));
+        normal
+            .try_normalize(0.0)
+            .is_some_and(|normal| lies_on(&(mesh.centroid(face), normal), centre, r))
+    });
+    on_sphere.area_m2() / (std::f64::consts::TAU * r * r)
+}

@@ -1,0 +1,37 @@
+//! The robust loss of shading residuals.
+
+/// Tukey's biweight: residuals beyond `cutoff · scale` do not count at all.
+#[derive(Clone, Copy, Debug)]
+pub struct Tukey {
+    /// Robust standard deviation of the residuals.
+    pub scale: f64,
+    /// Cut-off in scales; 4.685 is 95 % efficient on Gaussian residuals.
+    pub cutoff: f64,
+}
+
+impl Tukey {
+    /// Loss of a residual: `c²/6 · (1 − (1 − (r/c)²)³)`, in squared scales.
+    pub fn loss(&self, residual: f64) -> f64 {
+        let t = 1.0 - (residual / (self.scale * self.cutoff)).powi(2);
+        self.cutoff * self.cutoff / 6.0 * (1.0 - t.max(0.0).powi(3))
+    }
+
+    /// Weight of a squared residual in scales: `(1 − (r/c)²)²`, over the squared scale.
+    pub fn weight(&self, residual: f64) -> f64 {
+        let t = (1.0 - (residual / (self.scale * self.cutoff)).powi(2)).max(0.0);
+        t * t / (self.scale * self.scale)
+    }
+}
+
+/// Robust standard deviation: the median of the absolute values times 1.4826, which is exact for Gaussian residuals. 0
+/// without values; their order changes.
+pub fn median_absolute_deviation(residuals: &mut [f64]) -> f64 {
+    if residuals.is_empty() {
+        return 0.0;
+    }
+    for residual in residuals.iter_mut() {
+        *residual = residual.abs();
+    }
+    let middle = residuals.len() / 2;
+    1.4826 * *residuals.select_nth_unstable_by(middle, f64::total_cmp).1
+}
