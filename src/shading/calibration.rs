@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 pub struct Calibration {
     /// Exponent of the response: observed = linear^gamma, both as shares of full scale.
     pub gamma: f64,
+    /// How far right of and below its place in the depth image a point lies in the IR image, pixels; Kinect I only.
+    #[serde(default)]
+    pub ir_offset_px: [f64; 2],
     /// How the lens darkens the image towards its corners.
     pub flat_field: FlatField,
     /// The light's lobe and place.
@@ -80,7 +83,11 @@ impl Calibration {
         Ok(calibration)
     }
 
-    fn validate(&self) -> Result<(), String> {
+    /// Checks every value against its bound.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn validate(&self) -> Result<(), String> {
         self.flat_field.validate()?;
         for (key, value, low, high) in [
             ("gamma", self.gamma, 0.2, 3.0),
@@ -90,6 +97,11 @@ impl Calibration {
         ] {
             if !(value >= low && value <= high) {
                 return Err(format!("{key} is {value}, must be {low} to {high}"));
+            }
+        }
+        for value in self.ir_offset_px {
+            if !(value.abs() <= 20.0) {
+                return Err(format!("ir_offset_px holds {value}, must be -20 to 20"));
             }
         }
         for value in self.light.position_m.unwrap_or_default() {

@@ -19,7 +19,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("evaluate", &["geometry", "shading"]),
     (
         "config",
-        &["capture", "fusion", "snapshot", "refine", "shading"],
+        &[
+            "capture",
+            "fusion",
+            "snapshot",
+            "refine",
+            "shading",
+            "atomic_file",
+        ],
     ),
     (
         "pipeline",
