@@ -75,6 +75,17 @@ impl Recorder {
         Ok(self)
     }
 
+    /// The same recorder, with a file of text beside the frames, if it records frames.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn with_text(mut self, name: &str, text: &str) -> Result<Self, WriteError> {
+        if let Some(session) = &mut self.session {
+            session.write_text(name, text)?;
+        }
+        Ok(self)
+    }
+
     /// Records a frame.
     pub fn frame(&mut self, frame: &Frame) {
         let Some(session) = &mut self.session else {
@@ -165,6 +176,7 @@ mod tests {
         let mut recorder = Recorder::new(folder.path())
             .unwrap()
             .with_frames(camera.info(), 5000.0)
+            .and_then(|recorder| recorder.with_text("note.txt", "by lamplight"))
             .unwrap();
         let event = Event {
             frame_id: 1,
@@ -181,6 +193,8 @@ mod tests {
         assert_eq!((summary.n_recorded, summary.failures.len()), (2, 0));
         let replayed = replay::ReplayCamera::open(&folder.path().join("session")).unwrap();
         assert_eq!(replayed.info().n_frames, Some(2));
+        let note = fs::read_to_string(folder.path().join("session/note.txt")).unwrap();
+        assert_eq!(note, "by lamplight");
         let lines = fs::read_to_string(folder.path().join("events.jsonl")).unwrap();
         assert_eq!(
             lines,

@@ -61,6 +61,9 @@ impl ImageNoise {
 }
 
 impl Calibration {
+    /// Name of the file in a session's folder that holds the calibration it was recorded with.
+    pub const FILE_NAME: &str = "calibration.toml";
+
     /// The calibration that `config/` carries for a sensor that has none of its own.
     ///
     /// # Errors
@@ -83,6 +86,14 @@ impl Calibration {
         Ok(calibration)
     }
 
+    /// What [`Self::from_toml`] reads.
+    ///
+    /// # Errors
+    /// If the format cannot hold it, which a test excludes.
+    pub fn to_toml(&self) -> Result<String, String> {
+        toml::to_string(self).map_err(|error| error.to_string())
+    }
+
     /// Checks every value against its bound.
     ///
     /// # Errors
@@ -100,12 +111,12 @@ impl Calibration {
             }
         }
         for value in self.ir_offset_px {
-            if !(value.abs() <= 20.0) {
+            if !(-20.0..=20.0).contains(&value) {
                 return Err(format!("ir_offset_px holds {value}, must be -20 to 20"));
             }
         }
         for value in self.light.position_m.unwrap_or_default() {
-            if !(value.abs() <= 2.0) {
+            if !(-2.0..=2.0).contains(&value) {
                 return Err(format!("light.position_m holds {value}, must be -2 to 2"));
             }
         }
@@ -122,6 +133,10 @@ mod tests {
         let one = Calibration::shipped(Sensor::Kinect1).expect("shipped");
         let two = Calibration::shipped(Sensor::Kinect2).expect("shipped");
         assert_ne!(one.gamma, two.gamma);
+        for calibration in [one, two] {
+            let text = calibration.to_toml().expect("serialises");
+            assert_eq!(Calibration::from_toml(&text), Ok(calibration));
+        }
     }
 
     #[test]

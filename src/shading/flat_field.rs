@@ -126,7 +126,7 @@ impl FlatMap {
                 columns * rows
             ));
         }
-        match self.log.iter().find(|log| !(log.abs() <= 8.0)) {
+        match self.log.iter().find(|log| !(-8.0..=8.0).contains(*log)) {
             Some(log) => Err(format!("flat_field.log holds {log}, must be -8 to 8")),
             None => Ok(()),
         }
