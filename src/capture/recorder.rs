@@ -153,7 +153,7 @@ mod tests {
     use super::*;
     use crate::capture::EventKind;
     use depth_camera::DepthCamera;
-    use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+    use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
     use std::{fs, time::Duration};
 
     fn small_camera() -> SimulatedCamera {
@@ -161,6 +161,7 @@ mod tests {
             scene: Scene::plaque(),
             trajectory: Trajectory::hand_held(nalgebra::Point3::origin(), 2),
             sensor: depth_camera::Sensor::Kinect2,
+            infrared: Infrared::of_sensor(depth_camera::Sensor::Kinect2),
             n_moving_frames: 2,
             shading_frames: Vec::new(),
             reduction: 4,
