@@ -28,7 +28,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Fuse and refine a recorded session
-    Replay(ReplayArgs),
+    Replay(Box<ReplayArgs>),
     /// Record a session of a simulated sensor
     Simulate(SimulateArgs),
     /// Fuse and refine the recording that comes with the program
@@ -62,9 +62,12 @@ pub struct ReplayArgs {
     /// Fuse at the poses of this file (TUM: timestamp tx ty tz qx qy qz qw) instead of tracking
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
-    /// Calibration of the IR image
+    /// Calibration of the IR image: a device's own file, or a complete one
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
     /// Shading images at most
     #[arg(long, value_name = "N")]
     pub max_snapshots: Option<usize>,

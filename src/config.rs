@@ -5,8 +5,14 @@
 //! value and the bound. Stages never see [`Config`].
 
 mod calibration;
+mod calibration_file;
+mod calibration_key;
+mod calibration_merge;
 
-pub use calibration::{CalibrationSource, find_calibration};
+pub use calibration::{CalibrationPlaces, CalibrationSource, FoundCalibration, find_calibration};
+pub use calibration_file::{DeviceCalibration, MeasuredLight};
+pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
+pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
 
 use crate::{
     capture::CaptureParams, fusion::FusionParams, refine::RefineParams, snapshot::SnapshotParams,

@@ -4,6 +4,7 @@
 //! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages, and `control` knows only `pipeline`.
 #![forbid(unsafe_code)]
 
+pub mod atomic_file;
 pub mod calibrate;
 pub mod capture;
 pub mod config;

@@ -75,6 +75,17 @@ impl Recorder {
         Ok(self)
     }
 
+    /// The same recorder, with a file of text beside the frames, if it records frames.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn with_text(mut self, name: &str, text: &str) -> Result<Self, WriteError> {
+        if let Some(session) = &mut self.session {
+            session.write_text(name, text)?;
+        }
+        Ok(self)
+    }
+
     /// Records a frame.
     pub fn frame(&mut self, frame: &Frame) {
         let Some(session) = &mut self.session else {
@@ -142,7 +153,7 @@ mod tests {
     use super::*;
     use crate::capture::EventKind;
     use depth_camera::DepthCamera;
-    use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+    use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
     use std::{fs, time::Duration};
 
     fn small_camera() -> SimulatedCamera {
@@ -150,6 +161,7 @@ mod tests {
             scene: Scene::plaque(),
             trajectory: Trajectory::hand_held(nalgebra::Point3::origin(), 2),
             sensor: depth_camera::Sensor::Kinect2,
+            infrared: Infrared::of_sensor(depth_camera::Sensor::Kinect2),
             n_moving_frames: 2,
             shading_frames: Vec::new(),
             reduction: 4,
@@ -165,6 +177,7 @@ mod tests {
         let mut recorder = Recorder::new(folder.path())
             .unwrap()
             .with_frames(camera.info(), 5000.0)
+            .and_then(|recorder| recorder.with_text("note.txt", "by lamplight"))
             .unwrap();
         let event = Event {
             frame_id: 1,
@@ -181,6 +194,8 @@ mod tests {
         assert_eq!((summary.n_recorded, summary.failures.len()), (2, 0));
         let replayed = replay::ReplayCamera::open(&folder.path().join("session")).unwrap();
         assert_eq!(replayed.info().n_frames, Some(2));
+        let note = fs::read_to_string(folder.path().join("session/note.txt")).unwrap();
+        assert_eq!(note, "by lamplight");
         let lines = fs::read_to_string(folder.path().join("events.jsonl")).unwrap();
         assert_eq!(
             lines,

@@ -2,9 +2,9 @@
 
 use super::{DemoArgs, ReplayArgs, SimulateArgs, summary};
 use anyhow::{Context, bail};
-use depth_camera::{DepthCamera, Sensor};
+use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use relief::{
-    config::{self, CalibrationSource, Config, ConfigError},
+    config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration},
     control::{self, EXIT_INTERRUPTED, Progress},
     pipeline::{Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, WhenFull},
 };
@@ -85,9 +85,13 @@ fn pipeline_params(
     config: Config,
     camera: &ReplayCamera,
 ) -> anyhow::Result<PipelineParams> {
-    let config_folder = args.config.as_deref().and_then(Path::parent);
-    let given = args.calibration.as_deref();
-    let (calibration, source) = config::find_calibration(camera.info(), given, config_folder)?;
+    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let places = CalibrationPlaces {
+        given: args.calibration.as_deref(),
+        folder: &folder,
+        session: Some(&args.session),
+    };
+    let found = config::find_calibration(camera.info(), &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
     Ok(PipelineParams {
         session: session_name(&args.session),
@@ -95,9 +99,9 @@ fn pipeline_params(
         fusion: config.fusion,
         snapshot: config.snapshot,
         refine: (!args.no_refine).then_some(config.refine),
-        warnings: calibration_warning(&source, camera).into_iter().collect(),
-        calibration,
-        calibration_source: source.to_string(),
+        warnings: calibration_warnings(&found, camera.info()),
+        calibration_source: found.source.to_string(),
+        calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
         poses: poses.map(|poses| GivenPoses::new(&poses)),
         n_threads: args.threads.unwrap_or_else(all_processors),
@@ -121,6 +125,7 @@ pub fn demo(args: &DemoArgs, progress: &Progress) -> anyhow::Result<Verdict> {
         depth_max: None,
         poses: None,
         calibration: None,
+        calibration_dir: None,
         max_snapshots: None,
         threads: None,
         realtime: false,
@@ -178,19 +183,31 @@ pub fn simulate(args: &SimulateArgs) -> anyhow::Result<Verdict> {
     Ok(Verdict::Done)
 }
 
-fn calibration_warning(source: &CalibrationSource, camera: &ReplayCamera) -> Option<String> {
-    let CalibrationSource::Shipped(sensor) = source else {
-        return None;
-    };
+/// The folder of calibrations named by serial number.
+fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBuf {
+    match (given, config.and_then(Path::parent)) {
+        (Some(given), _) => given.to_owned(),
+        (None, Some(folder)) => folder.join("calibration"),
+        (None, None) => PathBuf::from("calibration"),
+    }
+}
+
+/// Says which calibration is used, and what the operator should know of it.
+fn calibration_warnings(found: &FoundCalibration, info: &CameraInfo) -> Vec<String> {
     // Without IR there is nothing to calibrate.
-    camera.info().ir_full_scale?;
-    let warning = format!(
-        "no calibration of the device {} is known, the one shipped for every {} is used",
-        camera.info().serial,
-        sensor.name()
-    );
-    tracing::warn!("{warning}");
-    Some(warning)
+    if info.ir_full_scale.is_none() {
+        return Vec::new();
+    }
+    let origins = found.origins.iter();
+    let origins: Vec<_> = origins
+        .map(|(key, origin)| format!("{key}: {origin}"))
+        .collect();
+    tracing::info!(file = %found.source, keys = origins.join(", "), "calibration");
+    let warnings = found.warnings(info);
+    for warning in &warnings {
+        tracing::warn!("{warning}");
+    }
+    warnings
 }
 
 /// The name of the session's folder.

@@ -1,17 +1,43 @@
 //! Which calibration of the IR image belongs to a device.
 
-use super::ConfigError;
+use super::{
+    CalibrationKey, ConfigError, DeviceCalibration, KeyOrigin, KeyOrigins, calibration_path,
+};
 use crate::shading::Calibration;
 use depth_camera::{CameraInfo, Sensor};
 use std::{
     fmt, fs,
-    path::{Component, Path, PathBuf},
+    path::{Path, PathBuf},
 };
+
+/// Where a calibration may be found, the most binding first; the last resort is the one shipped.
+#[derive(Clone, Copy, Debug)]
+pub struct CalibrationPlaces<'a> {
+    /// The file that the operator names.
+    pub given: Option<&'a Path>,
+    /// The folder of the files named by serial number.
+    pub folder: &'a Path,
+    /// The folder of the recording, which may hold the calibration that it was made with.
+    pub session: Option<&'a Path>,
+}
+
+/// A calibration with what is known of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundCalibration {
+    /// What the stages are told.
+    pub calibration: Calibration,
+    /// Where it was found.
+    pub source: CalibrationSource,
+    /// Where each key comes from.
+    pub origins: KeyOrigins,
+    /// The serial number in the file, if it states one.
+    serial: Option<String>,
+}
 
 /// Where a calibration comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CalibrationSource {
-    /// A file made for this device.
+    /// A file.
     File(PathBuf),
     /// The one shipped for every sensor of the kind.
     Shipped(Sensor),
@@ -28,70 +54,129 @@ impl fmt::Display for CalibrationSource {
     }
 }
 
-/// The calibration of a device: `given` if there is one, else `calibration/<serial>.toml` in the configuration's folder if
-/// that exists, else the shipped one.
+/// The calibration of a device: the file given, else `<serial>.toml` in the folder of calibrations, else `calibration.toml`
+/// in the session's folder, else the shipped one. A file is either a device's own or a complete [`Calibration`].
 ///
 /// # Errors
-/// For a file that cannot be read or parsed, and for a value beyond its bound.
+/// For a file that cannot be read or parsed, for a value beyond its bound, for the file of another kind of sensor, and for
+/// one named by this serial number that states another.
 pub fn find_calibration(
     info: &CameraInfo,
-    given: Option<&Path>,
-    config_folder: Option<&Path>,
-) -> Result<(Calibration, CalibrationSource), ConfigError> {
-    let own = || own_file(&info.serial, config_folder?);
-    match given.map(Path::to_owned).or_else(own) {
-        Some(path) => Ok((read(&path)?, CalibrationSource::File(path))),
-        None => {
-            let source = CalibrationSource::Shipped(info.sensor);
-            let calibration = Calibration::shipped(info.sensor).map_err(|what| ConfigError {
-                origin: source.to_string(),
-                what,
-            })?;
-            Ok((calibration, source))
+    places: &CalibrationPlaces,
+) -> Result<FoundCalibration, ConfigError> {
+    if let Some(path) = places.given {
+        return read(path, info.sensor);
+    }
+    let of_serial = calibration_path(places.folder, &info.serial).ok();
+    if let Some(path) = of_serial.filter(|path| path.exists()) {
+        return read(&path, info.sensor).and_then(|found| found.of_serial(&path, &info.serial));
+    }
+    let of_session = places
+        .session
+        .map(|folder| folder.join(Calibration::FILE_NAME));
+    if let Some(path) = of_session.filter(|path| path.exists()) {
+        return read(&path, info.sensor);
+    }
+    let nothing = DeviceCalibration::new(info.serial.clone(), info.sensor);
+    over_shipped(&nothing, CalibrationSource::Shipped(info.sensor))
+}
+
+fn read(path: &Path, sensor: Sensor) -> Result<FoundCalibration, ConfigError> {
+    let in_file = |what: String| ConfigError::in_file(path, what);
+    let text = fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
+    let table: toml::Table = toml::from_str(&text).map_err(|error| in_file(error.to_string()))?;
+    let source = CalibrationSource::File(path.to_owned());
+    if table.contains_key("version") {
+        let device = DeviceCalibration::from_toml(&text).map_err(in_file)?;
+        if device.sensor != sensor {
+            return Err(in_file(format!(
+                "sensor is \"{}\", must be \"{}\"",
+                device.sensor.name(),
+                sensor.name()
+            )));
+        }
+        return over_shipped(&device, source);
+    }
+    let calibration = Calibration::from_toml(&text).map_err(in_file)?;
+    let position = match calibration.light.position_m {
+        Some(_) => KeyOrigin::File(None),
+        None => KeyOrigin::Stated,
+    };
+    let mut origins: KeyOrigins = CalibrationKey::ALL
+        .map(|key| (key, KeyOrigin::File(None)))
+        .into();
+    origins.insert(CalibrationKey::LightPosition, position);
+    Ok(FoundCalibration {
+        calibration,
+        source,
+        origins,
+        serial: None,
+    })
+}
+
+fn over_shipped(
+    device: &DeviceCalibration,
+    source: CalibrationSource,
+) -> Result<FoundCalibration, ConfigError> {
+    let shipped = Calibration::shipped(device.sensor).map_err(|what| ConfigError {
+        origin: CalibrationSource::Shipped(device.sensor).to_string(),
+        what,
+    })?;
+    let (calibration, origins) = device.over(shipped);
+    Ok(FoundCalibration {
+        calibration,
+        source,
+        origins,
+        serial: Some(device.serial.clone()),
+    })
+}
+
+impl FoundCalibration {
+    fn of_serial(self, path: &Path, serial: &str) -> Result<Self, ConfigError> {
+        match &self.serial {
+            Some(stated) if stated != serial => Err(ConfigError::in_file(
+                path,
+                format!("serial is \"{stated}\", must be \"{serial}\""),
+            )),
+            _ => Ok(self),
         }
     }
-}
 
-/// The file of a serial number, if there is one; a serial that is no plain file name has none.
-fn own_file(serial: &str, config_folder: &Path) -> Option<PathBuf> {
-    let mut parts = Path::new(serial).components();
-    let is_plain = matches!(
-        (parts.next(), parts.next()),
-        (Some(Component::Normal(_)), None)
-    );
-    let path = config_folder
-        .join("calibration")
-        .join(format!("{serial}.toml"));
-    (is_plain && path.exists()).then_some(path)
-}
-
-fn read(path: &Path) -> Result<Calibration, ConfigError> {
-    let text = fs::read_to_string(path).map_err(|error| ConfigError::in_file(path, error))?;
-    Calibration::from_toml(&text).map_err(|what| ConfigError::in_file(path, what))
+    /// What the operator should know before trusting it.
+    pub fn warnings(&self, info: &CameraInfo) -> Vec<String> {
+        let kind = info.sensor.name();
+        let path = match &self.source {
+            CalibrationSource::File(path) => path.display(),
+            CalibrationSource::Shipped(_) => {
+                return vec![format!(
+                    "no calibration of the device {} is known, the one shipped for every {kind} is used",
+                    info.serial
+                )];
+            }
+        };
+        let mut warnings = Vec::new();
+        let stranger = self
+            .serial
+            .as_ref()
+            .filter(|serial| **serial != info.serial);
+        if let Some(serial) = stranger {
+            warnings.push(format!(
+                "{path} is the calibration of the device {serial}, this one is {}",
+                info.serial
+            ));
+        }
+        let shipped = self.origins.iter();
+        let shipped = shipped.filter(|(_, origin)| **origin == KeyOrigin::Shipped);
+        let shipped: Vec<&str> = shipped.map(|(key, _)| key.name()).collect();
+        if !shipped.is_empty() {
+            warnings.push(format!(
+                "{path} does not have {}: what is shipped for every {kind} is used",
+                shipped.join(", ")
+            ));
+        }
+        warnings
+    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use depth_camera::DepthCamera;
-    use simulated::SimulatedCamera;
-
-    #[test]
-    fn a_device_finds_its_own_file_and_no_other() {
-        let folder = tempfile::tempdir().unwrap();
-        fs::create_dir(folder.path().join("calibration")).unwrap();
-        let shipped = include_str!("../../config/calibration-kinect2.toml");
-        let own = folder.path().join("calibration/simulated-5.toml");
-        fs::write(&own, shipped.replace("gamma = 0.87", "gamma = 0.9")).unwrap();
-        let find = |info: &CameraInfo| find_calibration(info, None, Some(folder.path())).unwrap();
-
-        let mut info = SimulatedCamera::kinect2_plaque(1, 5).info().clone();
-        let (calibration, source) = find(&info);
-        assert_eq!(calibration.gamma, 0.9);
-        assert_eq!(source, CalibrationSource::File(own));
-        for stranger in ["simulated-6", "../calibration/simulated-5", ""] {
-            info.serial = stranger.to_owned();
-            assert_eq!(find(&info).1, CalibrationSource::Shipped(Sensor::Kinect2));
-        }
-    }
-}
+mod tests;

@@ -94,6 +94,9 @@ pub enum SpawnError {
     /// The recorder cannot write.
     #[error("cannot record: {0}")]
     Recorder(#[from] replay::WriteError),
+    /// The calibration cannot be recorded.
+    #[error("cannot record the calibration: {0}")]
+    Calibration(String),
     /// The system gives no thread.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] io::Error),
@@ -193,12 +196,18 @@ fn recorder(
     params: &PipelineParams,
     info: &CameraInfo,
     folder: &OutputFolder,
-) -> Result<Recorder, replay::WriteError> {
+) -> Result<Recorder, SpawnError> {
     let recorder = Recorder::new(folder.path())?;
-    match params.record {
-        true => recorder.with_frames(info, params.capture.record_depth_units_per_metre),
-        false => Ok(recorder),
+    if !params.record {
+        return Ok(recorder);
     }
+    // With the calibration beside it a recording replays as it was taken.
+    let calibration = params
+        .calibration
+        .to_toml()
+        .map_err(SpawnError::Calibration)?;
+    let recorder = recorder.with_frames(info, params.capture.record_depth_units_per_metre)?;
+    Ok(recorder.with_text(Calibration::FILE_NAME, &calibration)?)
 }
 
 fn device_setup(

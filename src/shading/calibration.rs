@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 pub struct Calibration {
     /// Exponent of the response: observed = linear^gamma, both as shares of full scale.
     pub gamma: f64,
+    /// How far right of and below its place in the depth image a point lies in the IR image, pixels; Kinect I only.
+    #[serde(default)]
+    pub ir_offset_px: [f64; 2],
     /// How the lens darkens the image towards its corners.
     pub flat_field: FlatField,
     /// The light's lobe and place.
@@ -58,6 +61,9 @@ impl ImageNoise {
 }
 
 impl Calibration {
+    /// Name of the file in a session's folder that holds the calibration it was recorded with.
+    pub const FILE_NAME: &str = "calibration.toml";
+
     /// The calibration that `config/` carries for a sensor that has none of its own.
     ///
     /// # Errors
@@ -80,7 +86,19 @@ impl Calibration {
         Ok(calibration)
     }
 
-    fn validate(&self) -> Result<(), String> {
+    /// What [`Self::from_toml`] reads.
+    ///
+    /// # Errors
+    /// If the format cannot hold it, which a test excludes.
+    pub fn to_toml(&self) -> Result<String, String> {
+        toml::to_string(self).map_err(|error| error.to_string())
+    }
+
+    /// Checks every value against its bound.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn validate(&self) -> Result<(), String> {
         self.flat_field.validate()?;
         for (key, value, low, high) in [
             ("gamma", self.gamma, 0.2, 3.0),
@@ -92,8 +110,13 @@ impl Calibration {
                 return Err(format!("{key} is {value}, must be {low} to {high}"));
             }
         }
+        for value in self.ir_offset_px {
+            if !(-20.0..=20.0).contains(&value) {
+                return Err(format!("ir_offset_px holds {value}, must be -20 to 20"));
+            }
+        }
         for value in self.light.position_m.unwrap_or_default() {
-            if !(value.abs() <= 2.0) {
+            if !(-2.0..=2.0).contains(&value) {
                 return Err(format!("light.position_m holds {value}, must be -2 to 2"));
             }
         }
@@ -110,6 +133,10 @@ mod tests {
         let one = Calibration::shipped(Sensor::Kinect1).expect("shipped");
         let two = Calibration::shipped(Sensor::Kinect2).expect("shipped");
         assert_ne!(one.gamma, two.gamma);
+        for calibration in [one, two] {
+            let text = calibration.to_toml().expect("serialises");
+            assert_eq!(Calibration::from_toml(&text), Ok(calibration));
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The factor by which a lens darkens the image towards its corners: a function of the ray, not of depth.
 
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// The flat field: a factor for each ray (X/Z, Y/Z).
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -35,6 +36,17 @@ impl FlatField {
                 Err(format!("flat_field.power is {power}, must be 0 to 12"))
             }
             FlatField::Spline(map) => map.validate(),
+        }
+    }
+}
+
+impl fmt::Display for FlatField {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            FlatField::CosinePower { power } => write!(f, "cosine to the power of {power}"),
+            FlatField::Spline(FlatMap { grid, .. }) => {
+                write!(f, "spline of {}x{} coefficients", grid.columns, grid.rows)
+            }
         }
     }
 }
@@ -114,7 +126,7 @@ impl FlatMap {
                 columns * rows
             ));
         }
-        match self.log.iter().find(|log| !(log.abs() <= 8.0)) {
+        match self.log.iter().find(|log| !(-8.0..=8.0).contains(*log)) {
             Some(log) => Err(format!("flat_field.log holds {log}, must be -8 to 8")),
             None => Ok(()),
         }

@@ -88,6 +88,7 @@ fn a_recording_becomes_meshes_and_a_report_the_same_on_any_number_of_threads() {
         "events.jsonl",
         "snapshots/000/ir.png",
         "session/depth.txt",
+        "session/calibration.toml",
         "report.html",
         "report.json",
     ] {

@@ -8,17 +8,25 @@ use std::{
 
 /// What each module may import of its own crate. `pipeline`, and the program itself, may know all.
 const ALLOWED: &[(&str, &[&str])] = &[
+    ("atomic_file", &[]),
     ("geometry", &[]),
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
     ("fusion", &["geometry"]),
     ("snapshot", &["geometry", "shading", "fusion"]),
     ("refine", &["geometry", "shading", "snapshot"]),
-    ("export", &["geometry", "shading"]),
+    ("export", &["geometry", "shading", "atomic_file"]),
     ("evaluate", &["geometry", "shading"]),
     (
         "config",
-        &["capture", "fusion", "snapshot", "refine", "shading"],
+        &[
+            "capture",
+            "fusion",
+            "snapshot",
+            "refine",
+            "shading",
+            "atomic_file",
+        ],
     ),
     (
         "pipeline",

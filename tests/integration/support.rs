@@ -4,7 +4,7 @@ use depth_camera::{DepthCamera, Sensor};
 use nalgebra::center;
 use replay::SessionWriter;
 use serde_json::Value;
-use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -20,6 +20,7 @@ pub fn small_camera(n_frames: usize, reduction: usize) -> SimulatedCamera {
         trajectory: Trajectory::hand_held(center(&low, &high), n_frames),
         scene,
         sensor: Sensor::Kinect2,
+        infrared: Infrared::of_sensor(Sensor::Kinect2),
         n_moving_frames: n_frames,
         shading_frames: Vec::new(),
         reduction,

@@ -103,6 +103,16 @@ impl SessionWriter {
         })
     }
 
+    /// Puts a file of text into the folder, which replay does not read.
+    ///
+    /// # Errors
+    /// [`WriteError::Io`].
+    pub fn write_text(&mut self, name: &str, text: &str) -> Result<(), WriteError> {
+        write_whole_file(&self.folder.join(name), |out| {
+            out.write_all(text.as_bytes())
+        })
+    }
+
     /// Appends one frame; depth beyond the range of 16 bits, negative or not finite is stored as no measurement.
     ///
     /// # Errors

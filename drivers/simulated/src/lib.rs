@@ -11,12 +11,14 @@ mod trajectory;
 
 mod scene;
 
+mod infrared;
 mod medallion;
 mod noise;
 mod optics;
 mod render;
 mod sensor;
 
+pub use infrared::Infrared;
 pub use scene::{Scene, Shape, Solid};
 pub use trajectory::{Orbit, Trajectory, look_at};
 
@@ -49,6 +51,8 @@ pub struct Setup {
     pub trajectory: Trajectory,
     /// With what.
     pub sensor: Sensor,
+    /// How its IR image comes about.
+    pub infrared: Infrared,
     /// How many frames are taken on the move.
     pub n_moving_frames: usize,
     /// Kinect I: moving frames at whose pose the hand then holds still for four IR images under the lamp. Must increase.
@@ -87,6 +91,8 @@ pub struct SimulatedCamera {
     setup: Setup,
     info: CameraInfo,
     lens: Lens,
+    /// The lens of the IR image, where it is another.
+    ir_lens: Option<Lens>,
     moments: Vec<Moment>,
     next: usize,
 }
@@ -106,10 +112,12 @@ impl SimulatedCamera {
             serial: format!("simulated-{}", setup.seed),
             intrinsics: lens,
             ir_full_scale: Some(sensor::full_scale(setup.sensor)),
-            light: Some(sensor::shading_light(setup.sensor)),
+            light: Some(setup.infrared.light(setup.sensor)),
             n_frames: Some(moments.len()),
         };
+        let ir_lens = setup.infrared.shifted(&lens);
         Ok(SimulatedCamera {
+            ir_lens: (ir_lens != lens).then(|| Lens::new(ir_lens)),
             setup,
             info,
             lens: Lens::new(lens),
@@ -137,6 +145,7 @@ impl SimulatedCamera {
             scene,
             trajectory,
             sensor,
+            infrared: Infrared::of_sensor(sensor),
             n_moving_frames: n_frames,
             shading_frames,
             reduction: 1,
@@ -157,7 +166,7 @@ impl SimulatedCamera {
 
     /// Exponent of the sensor's response: IR / full scale = light ^ gamma.
     pub fn gamma(&self) -> f64 {
-        sensor::gamma(self.setup.sensor)
+        self.setup.infrared.gamma
     }
 
     /// The true pose of a frame; the world's z points up, and it is not the first camera's frame.
@@ -180,20 +189,25 @@ impl SimulatedCamera {
 
     /// The images of a moment.
     fn expose(&self, frame: usize) -> (Image<f32>, Option<Image<u16>>) {
-        let sensor = self.setup.sensor;
+        let infrared = &self.setup.infrared;
         let exposure = Exposure {
-            sensor,
+            sensor: self.setup.sensor,
+            gamma: infrared.gamma,
             seed: self.setup.seed,
             frame: frame as u64,
             reduction: self.setup.reduction,
         };
         let exposed = self.moments[frame].exposed;
         let light = match exposed {
-            Exposed::Depth | Exposed::DepthAndSpeckle => sensor::projector(),
-            Exposed::DepthAndShading | Exposed::Shading => sensor::near_light(sensor),
+            Exposed::Depth | Exposed::DepthAndSpeckle => sensor::projector(infrared),
+            Exposed::DepthAndShading | Exposed::Shading => infrared.near_light(),
         };
         let pose = self.true_world_from_camera(frame);
-        let picture = self.lens.render(&self.setup.scene, &pose, &light);
+        let scene = &self.setup.scene;
+        let picture = self.lens.render(scene, &pose, &light);
+        let shifted = self.ir_lens.as_ref();
+        let shifted = shifted.map(|lens| lens.render(scene, &pose, &light));
+        let ir_picture = shifted.as_ref().unwrap_or(&picture);
         let fx = self.lens.intrinsics.fx;
         let depth = match exposed {
             Exposed::Shading => Image::filled(picture.width(), picture.height(), 0.0),
@@ -201,8 +215,8 @@ impl SimulatedCamera {
         };
         let ir = match exposed {
             Exposed::Depth => None,
-            Exposed::DepthAndSpeckle => Some(exposure.speckle_image(&picture, fx)),
-            Exposed::DepthAndShading | Exposed::Shading => Some(exposure.shading_image(&picture)),
+            Exposed::DepthAndSpeckle => Some(exposure.speckle_image(ir_picture, fx)),
+            Exposed::DepthAndShading | Exposed::Shading => Some(exposure.shading_image(ir_picture)),
         };
         (depth, ir)
     }

@@ -30,7 +30,7 @@ pub(crate) struct Sample {
     /// Cosine between the normal and the line of sight.
     pub(crate) cos_incidence: f64,
     pub(crate) albedo: f64,
-    /// Albedo × cosine ÷ squared distance × falloff, per square metre; 0 in the light's shadow.
+    /// Albedo × cosine ÷ squared distance × lobe × lens, per square metre; 0 in the light's shadow.
     pub(crate) radiance: f64,
     /// Whether the light's position sees the first ray's point.
     pub(crate) lit: bool,
@@ -41,8 +41,10 @@ pub(crate) struct Sample {
 pub(crate) struct NearLight {
     /// Camera frame, metres.
     pub(crate) position_m: [f64; 3],
-    /// Exponent of the falloff by the cosine to the optical axis.
-    pub(crate) lobe: f64,
+    /// Exponent of the emission's cosine about the optical axis, by the direction from the light.
+    pub(crate) lobe_power: f64,
+    /// Exponent of the cosine by which the lens darkens, by the direction from the camera.
+    pub(crate) lens_power: f64,
 }
 
 impl Lens {
@@ -71,7 +73,8 @@ impl Lens {
             eye_world: Point3::from(world_from_camera.translation.vector),
             world_from_camera: *world_from_camera,
             light_world: world_from_camera * Point3::from(light.position_m),
-            lobe: light.lobe,
+            axis_world: world_from_camera.rotation * Vector3::z(),
+            light: *light,
         };
         let pixels = self.rays.iter().map(|rays| view.sample(rays)).collect();
         Image::from_vec(self.intrinsics.width, self.intrinsics.height, pixels)
@@ -103,7 +106,9 @@ struct View<'a> {
     world_from_camera: Isometry3<f64>,
     eye_world: Point3<f64>,
     light_world: Point3<f64>,
-    lobe: f64,
+    /// The optical axis, forwards.
+    axis_world: Vector3<f64>,
+    light: NearLight,
 }
 
 impl View<'_> {
@@ -143,7 +148,11 @@ impl View<'_> {
         let cos_light = normal.dot(&to_light) / distance_m;
         let start = point + normal * OFF_SURFACE_M;
         let lit = cos_light > 0.0 && !self.scene.blocked(&start, &self.light_world);
-        let radiance = albedo * cos_light / distance_m.powi(2) * cos_axis.powf(self.lobe);
+        // Nothing is emitted backwards.
+        let cos_lobe = (-to_light.dot(&self.axis_world) / distance_m).max(0.0);
+        let radiance = albedo * cos_light / distance_m.powi(2)
+            * cos_lobe.powf(self.light.lobe_power)
+            * cos_axis.powf(self.light.lens_power);
         Some(Sample {
             depth_m: hit.distance,
             cos_incidence: -normal.dot(&direction) * cos_axis,

@@ -4,9 +4,10 @@
 //! 2015, Sarbolandi et al. 2015); where it gives none they are arbitrary. Not modelled: interreflection, warm-up, wiggling
 //! over range, flicker of the lamp, a rolling shutter.
 
-use depth_camera::{Image, Intrinsics, Light, LightKind, Sensor};
+use depth_camera::{Image, Intrinsics, LightKind, Sensor};
 
 use crate::{
+    infrared::Infrared,
     noise::{Noise, Stream},
     render::{NearLight, Sample},
 };
@@ -55,40 +56,28 @@ pub(crate) fn intrinsics(sensor: Sensor) -> Intrinsics {
     }
 }
 
-/// The light of shading images.
-pub(crate) fn shading_light(sensor: Sensor) -> Light {
+/// Where the light of shading images is, camera frame, metres.
+pub(crate) fn light_position_m(sensor: Sensor) -> [f64; 3] {
     match sensor {
-        Sensor::Kinect1 => Light {
-            position_m: [0.12, -0.07, 0.02],
-            kind: LightKind::Lamp,
-        },
-        Sensor::Kinect2 => Light {
-            position_m: [0.052, 0.0, 0.004],
-            kind: LightKind::Emitter,
-        },
+        Sensor::Kinect1 => [0.12, -0.07, 0.02],
+        Sensor::Kinect2 => [0.052, 0.0, 0.004],
     }
 }
 
-/// The same light for the renderer.
-pub(crate) fn near_light(sensor: Sensor) -> NearLight {
-    NearLight {
-        position_m: shading_light(sensor).position_m,
-        lobe: lobe(sensor),
+/// What lights the shading images.
+pub(crate) fn light_kind(sensor: Sensor) -> LightKind {
+    match sensor {
+        Sensor::Kinect1 => LightKind::Lamp,
+        Sensor::Kinect2 => LightKind::Emitter,
     }
 }
 
-/// The Kinect I's projector as a light.
-pub(crate) fn projector() -> NearLight {
+/// The Kinect I's projector as a light; it shines evenly.
+pub(crate) fn projector(infrared: &Infrared) -> NearLight {
     NearLight {
         position_m: [PROJECTOR_BASELINE_M, 0.0, 0.0],
-        lobe: lobe(Sensor::Kinect1),
-    }
-}
-
-fn lobe(sensor: Sensor) -> f64 {
-    match sensor {
-        Sensor::Kinect1 => 1.5,
-        Sensor::Kinect2 => 3.0,
+        lobe_power: 0.0,
+        ..infrared.near_light()
     }
 }
 
@@ -100,18 +89,12 @@ pub(crate) fn full_scale(sensor: Sensor) -> f64 {
     }
 }
 
-/// Exponent of the response I = L^gamma, both relative to full scale.
-pub(crate) fn gamma(sensor: Sensor) -> f64 {
-    match sensor {
-        Sensor::Kinect1 => 0.80,
-        Sensor::Kinect2 => 0.87,
-    }
-}
-
 /// One exposure: which sensor, and what its noise hangs on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Exposure {
     pub(crate) sensor: Sensor,
+    /// Exponent of the response.
+    pub(crate) gamma: f64,
     /// The sensor's own: fixed patterns depend on nothing else.
     pub(crate) seed: u64,
     pub(crate) frame: u64,
@@ -156,13 +139,13 @@ impl Exposure {
     /// Radiance relative to full scale.
     fn exposed(&self, radiance: f64) -> f64 {
         let white = 0.75 / 0.6_f64.powi(2);
-        radiance / white * EXPOSED_TO.powf(1.0 / gamma(self.sensor))
+        radiance / white * EXPOSED_TO.powf(1.0 / self.gamma)
     }
 
     /// Response, shot and read noise, quantisation and clipping.
     fn counts(&self, relative: f64, normal: f64) -> u16 {
         let full_scale = full_scale(self.sensor);
-        let signal = relative.powf(gamma(self.sensor)) * full_scale;
+        let signal = relative.powf(self.gamma) * full_scale;
         let (sigma, step) = match self.sensor {
             // Bits of 10: 1.5 of read noise, shot noise beside it.
             Sensor::Kinect1 => ((1.5 * 1.5 + 0.02 * signal).sqrt(), 1.0),

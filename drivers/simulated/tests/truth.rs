@@ -4,13 +4,14 @@ use std::time::Duration;
 
 use depth_camera::{DepthCamera, Frame, Image, Sensor};
 use nalgebra::{Isometry3, Point3};
-use simulated::{Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
+use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
 
 fn setup(sensor: Sensor, n_moving_frames: usize, reduction: usize) -> Setup {
     Setup {
         scene: Scene::plaque(),
         trajectory: Trajectory::hand_held(Point3::new(0.0, 0.0, 0.11), 48),
         sensor,
+        infrared: Infrared::of_sensor(sensor),
         n_moving_frames,
         shading_frames: Vec::new(),
         reduction,
@@ -101,6 +102,77 @@ fn a_white_wall_seen_head_on_darkens_with_the_square_of_the_distance() {
         // 81 pixels of 1 % to 2 % noise.
         assert!((ratio - 1.0).abs() < 0.01, "{sensor:?}: {ratio}");
     }
+}
+
+/// A white wall 0.6 m in front of a still Kinect II, and the IR image as shares of full scale.
+fn wall_image(infrared: Infrared) -> (SimulatedCamera, Image<f64>) {
+    let half_size = [2.0, 2.0];
+    let wall = Solid::new(Shape::Table { half_size }, Isometry3::identity(), 0.75);
+    let setup = Setup {
+        scene: Scene::new(vec![wall], 0),
+        trajectory: Trajectory::still(Point3::new(0.0, 0.0, 0.6), Point3::origin()),
+        infrared,
+        ..setup(Sensor::Kinect2, 1, 4)
+    };
+    let camera = SimulatedCamera::new(setup.clone()).expect("a set-up that makes sense");
+    let ir = frames(setup)
+        .remove(0)
+        .ir
+        .expect("every frame of a Kinect II");
+    (camera, ir.map(|&counts| f64::from(counts) / 65535.0))
+}
+
+#[test]
+fn a_wall_shows_the_lens_about_the_camera_and_the_lobe_about_the_light() {
+    let infrared = Infrared {
+        gamma: 1.0,
+        lens_power: 2.0,
+        lobe_power: 4.0,
+        light_position_m: [0.15, -0.05, 0.01],
+        offset_px: [0.0, 0.0],
+    };
+    let (camera, image) = wall_image(infrared);
+    let lens = camera.info().intrinsics;
+    let law = |u: f64, v: f64| {
+        // Near the principal point the distortion, below 1 %, moves nothing by more than a pixel.
+        let (x, y) = ((u - lens.cx) / lens.fx * 0.6, (v - lens.cy) / lens.fy * 0.6);
+        let [lx, ly, lz] = infrared.light_position_m;
+        let height_m = 0.6 - lz;
+        let squared = (x - lx).powi(2) + (y - ly).powi(2) + height_m * height_m;
+        let cos_light = height_m / squared.sqrt();
+        let cos_axis = 0.6 / (x * x + y * y + 0.36).sqrt();
+        cos_light.powi(5) / squared * cos_axis.powi(2)
+    };
+    let share = |u0: usize, v0: usize| {
+        let pixels = (0..64).map(|k| (u0 + k % 8, v0 + k / 8));
+        let ratios = pixels.map(|(u, v)| image.at(u, v) / law(u as f64, v as f64));
+        ratios.sum::<f64>() / 64.0
+    };
+    // Noise of 0.7 % over 64 pixels; a lobe about the camera would be off by 20 % from side to side.
+    let middle = share(60, 47);
+    for (u, v) in [(20, 47), (100, 47), (60, 10), (60, 85)] {
+        let ratio = share(u, v) / middle;
+        assert!((ratio - 1.0).abs() < 0.02, "{u}, {v}: {ratio}");
+    }
+}
+
+#[test]
+fn the_content_of_the_infrared_image_lies_where_its_offset_says() {
+    let infrared = Infrared::of_sensor(Sensor::Kinect2);
+    let shifted = Infrared {
+        offset_px: [6.0, 3.0],
+        ..infrared
+    };
+    let ((_, here), (_, there)) = (wall_image(infrared), wall_image(shifted));
+    let differences = |du: usize, dv: usize| -> Vec<f64> {
+        let pixels = (0..60 * 60).map(|k| (20 + k % 60, 20 + k / 60));
+        let pairs = pixels.map(|(u, v)| there.at(u + du, v + dv) - here.at(u, v));
+        pairs.collect()
+    };
+    // Noise of both images, 0.75 % of full scale.
+    assert!(mean(&differences(6, 3)).abs() < 5e-4);
+    assert!(deviation(&differences(6, 3)) < 0.012);
+    assert!(deviation(&differences(0, 0)) > 0.015);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::geometry::increment;
 use crate::snapshot::{SnapshotSelector, scenes};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::Vector6;
-use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
 use std::time::Duration;
 
 /// What the sensor shows next.
@@ -213,6 +213,7 @@ fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
         scene,
         trajectory: Trajectory::hand_held(nalgebra::center(&low, &high), 24),
         sensor: Sensor::Kinect1,
+        infrared: Infrared::of_sensor(Sensor::Kinect1),
         n_moving_frames: 24,
         shading_frames: vec![6, 16],
         reduction: 4,

@@ -7,7 +7,7 @@ use crate::snapshot::SnapshotSelector;
 use crate::snapshot::scenes::{self, Plane};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
-use simulated::{Scene, Setup, SimulatedCamera, Trajectory};
+use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
 use std::time::Duration;
 
 /// What becomes of the second of two frames of a tilted plane, 33 ms apart, when the camera moves by `step`.
@@ -83,6 +83,7 @@ fn a_scan_of_a_plaque_gives_views_from_both_sides() {
         scene,
         trajectory: Trajectory::hand_held(nalgebra::center(&low, &high), 60),
         sensor: Sensor::Kinect2,
+        infrared: Infrared::of_sensor(Sensor::Kinect2),
         n_moving_frames: 60,
         shading_frames: Vec::new(),
         reduction: 4,

@@ -1,0 +1,245 @@
+//! Measurements into a device's file, key by key, and never over an older one unasked.
+
+use super::{CalibrationKey, ConfigError, DeviceCalibration};
+use crate::atomic_file::write_atomically;
+use std::{
+    fs::{self, OpenOptions},
+    io::{self, Write},
+    path::{Component, Path, PathBuf},
+};
+
+/// The first lines of a file.
+const HEADER: &str = "# Calibration of one device, measured by `relief calibrate`; keys that are not here are those shipped \
+for the\n# kind of sensor. Comments are not kept when the next measurement is written.\n";
+
+/// What became of a device's file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MergeReport {
+    /// Keys that the file did not have.
+    pub added: Vec<CalibrationKey>,
+    /// Keys that the file had.
+    pub replaced: Vec<CalibrationKey>,
+    /// Where the file with the replaced values was kept.
+    pub kept: Option<PathBuf>,
+}
+
+/// The file of a device in the folder of calibrations.
+///
+/// # Errors
+/// For a serial number that is no plain file name.
+pub fn calibration_path(folder: &Path, serial: &str) -> Result<PathBuf, ConfigError> {
+    let mut parts = Path::new(serial).components();
+    match (parts.next(), parts.next()) {
+        (Some(Component::Normal(part)), None) if part == serial => {
+            Ok(folder.join(format!("{serial}.toml")))
+        }
+        _ => Err(ConfigError {
+            origin: "serial".to_owned(),
+            what: format!("\"{serial}\" must be a plain file name to have a calibration file"),
+        }),
+    }
+}
+
+/// Adds what was measured to a device's file, which is created with its folder if it is missing. Other keys of the file stay
+/// as they are, with their measurements.
+///
+/// A key that the file has is refused unless `replace` says otherwise; the old file is then kept beside it as
+/// `<serial>.<n>.toml`.
+///
+/// # Errors
+/// For the file of another device, for a key that is there already, and for files that cannot be read or written; nothing
+/// was changed then.
+pub fn merge_into_file(
+    path: &Path,
+    new: &DeviceCalibration,
+    replace: bool,
+) -> Result<MergeReport, ConfigError> {
+    let in_file = |what: &dyn ToString| ConfigError::in_file(path, what.to_string());
+    new.validate().map_err(|what| in_file(&what))?;
+    let exists = path.try_exists().map_err(|error| in_file(&error))?;
+    let mut device = match exists {
+        true => DeviceCalibration::read(path)?,
+        false => DeviceCalibration::new(new.serial.clone(), new.sensor),
+    };
+    check_same_device(path, &device, new).map_err(|what| in_file(&what))?;
+    let (replaced, added): (Vec<_>, Vec<_>) = new.keys().partition(|key| device.holds(*key));
+    if !replace && !replaced.is_empty() {
+        let refused = replaced.iter().map(|key| refusal(*key, &device, new));
+        return Err(in_file(&refused.collect::<Vec<_>>().join("; ")));
+    }
+    for key in new.keys() {
+        device.take(key, new);
+    }
+    let text = toml::to_string(&device).map_err(|error| in_file(&error))?;
+    let kept = match replaced.is_empty() {
+        true => None,
+        false => Some(keep(path).map_err(|error| in_file(&error))?),
+    };
+    write(path, &text).map_err(|error| in_file(&error))?;
+    Ok(MergeReport {
+        added,
+        replaced,
+        kept,
+    })
+}
+
+fn check_same_device(
+    path: &Path,
+    old: &DeviceCalibration,
+    new: &DeviceCalibration,
+) -> Result<(), String> {
+    if path.file_name() != Some(format!("{}.toml", new.serial).as_ref()) {
+        return Err(format!("must be named {}.toml", new.serial));
+    }
+    if old.serial != new.serial {
+        return Err(format!(
+            "serial is \"{}\", must be \"{}\"",
+            old.serial, new.serial
+        ));
+    }
+    if old.sensor != new.sensor {
+        return Err(format!(
+            "sensor is \"{}\", must be \"{}\"",
+            old.sensor.name(),
+            new.sensor.name()
+        ));
+    }
+    Ok(())
+}
+
+fn refusal(key: CalibrationKey, old: &DeviceCalibration, new: &DeviceCalibration) -> String {
+    let date = match old.measured.get(&key) {
+        Some(measurement) => format!("measured {}", measurement.date),
+        None => "set by hand".to_owned(),
+    };
+    format!(
+        "{key} is there already: {}, {date}; the new value is {}; say --replace to put it in its place",
+        old.shown(key),
+        new.shown(key)
+    )
+}
+
+/// Copies the file to the first free `<serial>.<n>.toml` beside it.
+fn keep(path: &Path) -> io::Result<PathBuf> {
+    let old = fs::read(path)?;
+    let mut number = 1_u32;
+    loop {
+        let kept = path.with_extension(format!("{number}.toml"));
+        match OpenOptions::new().write(true).create_new(true).open(&kept) {
+            Ok(mut file) => {
+                file.write_all(&old)?;
+                file.sync_all()?;
+                return Ok(kept);
+            }
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn write(path: &Path, text: &str) -> io::Result<()> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    write_atomically(path, |file| write!(file, "{HEADER}{text}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{MeasuredSession, Measurement};
+    use depth_camera::Sensor;
+    use std::{
+        collections::BTreeMap,
+        time::{Duration, SystemTime},
+    };
+
+    fn device() -> DeviceCalibration {
+        DeviceCalibration::new("A1.2".to_owned(), Sensor::Kinect1)
+    }
+
+    fn measurement() -> Measurement {
+        let session = MeasuredSession {
+            name: "sphere".to_owned(),
+            content: "sha256:00".to_owned(),
+        };
+        let time = SystemTime::UNIX_EPOCH + Duration::from_secs(1_709_210_096);
+        let figures = BTreeMap::from([("interval".to_owned(), 0.01)]);
+        Measurement::new(time, vec![session], figures)
+    }
+
+    fn with_gamma(gamma: f64) -> DeviceCalibration {
+        DeviceCalibration {
+            gamma: Some(gamma),
+            measured: BTreeMap::from([(CalibrationKey::Gamma, measurement())]),
+            ..device()
+        }
+    }
+
+    #[test]
+    fn keys_are_added_and_others_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = calibration_path(&folder.path().join("new"), "A1.2").unwrap();
+        merge_into_file(&path, &with_gamma(0.8), false).unwrap();
+        let offset = DeviceCalibration {
+            ir_offset_px: Some([5.0, 4.0]),
+            ..device()
+        };
+        let report = merge_into_file(&path, &offset, false).unwrap();
+        assert_eq!(report.added, [CalibrationKey::IrOffset]);
+        assert_eq!((report.replaced, report.kept), (Vec::new(), None));
+        let expected = DeviceCalibration {
+            ir_offset_px: Some([5.0, 4.0]),
+            ..with_gamma(0.8)
+        };
+        assert_eq!(DeviceCalibration::read(&path), Ok(expected));
+    }
+
+    #[test]
+    fn a_key_is_replaced_only_when_asked_and_the_old_file_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = calibration_path(folder.path(), "A1.2").unwrap();
+        merge_into_file(&path, &with_gamma(0.8), false).unwrap();
+        let first = fs::read(&path).unwrap();
+        let error = merge_into_file(&path, &with_gamma(0.9), false).unwrap_err();
+        assert!(error.to_string().ends_with(
+            "A1.2.toml: gamma is there already: 0.8, measured 2024-02-29T12:34:56Z; the new value is 0.9; say --replace to \
+             put it in its place"
+        ));
+        assert_eq!(fs::read(&path).unwrap(), first);
+
+        for (gamma, number) in [(0.9, 1), (1.0, 2)] {
+            let report = merge_into_file(&path, &with_gamma(gamma), true).unwrap();
+            let kept = folder.path().join(format!("A1.2.{number}.toml"));
+            assert_eq!(report.kept, Some(kept.clone()));
+            assert_eq!(report.replaced, [CalibrationKey::Gamma]);
+        }
+        assert_eq!(fs::read(folder.path().join("A1.2.1.toml")).unwrap(), first);
+        assert_eq!(DeviceCalibration::read(&path), Ok(with_gamma(1.0)));
+    }
+
+    #[test]
+    fn the_file_of_another_device_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = calibration_path(folder.path(), "A1.2").unwrap();
+        merge_into_file(&path, &with_gamma(0.8), false).unwrap();
+        let other = DeviceCalibration::new("A1.2".to_owned(), Sensor::Kinect2);
+        let error = merge_into_file(&path, &other, true).unwrap_err();
+        assert_eq!(error.what, "sensor is \"kinect1\", must be \"kinect2\"");
+        let other = DeviceCalibration::new("B".to_owned(), Sensor::Kinect1);
+        let error = merge_into_file(&path, &other, true).unwrap_err();
+        assert_eq!(error.what, "must be named B.toml");
+        for serial in ["", "..", "a/b", "/a", "a/"] {
+            assert!(calibration_path(folder.path(), serial).is_err(), "{serial}");
+        }
+    }
+
+    #[test]
+    fn values_beyond_their_bounds_are_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = calibration_path(folder.path(), "A1.2").unwrap();
+        let error = merge_into_file(&path, &with_gamma(7.0), false).unwrap_err();
+        assert_eq!(error.what, "gamma is 7, must be 0.2 to 3");
+        assert!(!path.exists());
+    }
+}
