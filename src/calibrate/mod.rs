@@ -28,11 +28,13 @@ mod samples;
 mod solve;
 mod sphere;
 mod state;
+#[cfg(test)]
+mod tests;
 
 pub use gather::{Gatherer, Scan, Target, TargetImage};
 pub use inverse_square::{InverseSquare, N_REGIONS, inverse_square};
 pub use refusal::Refusal;
-pub use response::{INCIDENCES, PowerLaw, ResponseCheck, SHARES, response_check};
+pub use response::{INCIDENCES, INLIER, PowerLaw, ResponseCheck, SHARES, response_check};
 pub use sphere::{BallRadius, FoundSphere};
 pub use state::{Estimate, Measured, Priors, SessionFit, State};
 
@@ -62,6 +64,7 @@ const N_ROUNDS: usize = 5;
 /// # Errors
 /// If the scans cannot be fitted by it: see [`Refusal`].
 pub fn estimate(scans: &[Scan], sensor: &Sensor, priors: &Priors) -> Result<Estimate, Refusal> {
+    refusal::check_brightness(scans, sensor.full_scale)?;
     let mut state = State::start(scans, sensor, priors)?;
     outline::place_by_outlines(scans, sensor, priors, &mut state)?;
     state.start_intensities(scans, sensor);
@@ -72,6 +75,6 @@ pub fn estimate(scans: &[Scan], sensor: &Sensor, priors: &Priors) -> Result<Esti
         problem.minimise(&mut state);
     }
     let estimate = problem.estimate(state);
-    refusal::check(scans, sensor.full_scale, &estimate)?;
+    refusal::check_fits(scans, &estimate)?;
     Ok(estimate)
 }

@@ -41,6 +41,17 @@ pub enum Refusal {
         /// Images looked at.
         n_unused: usize,
     },
+    /// The light is too strong, or too near.
+    #[error(
+        "{session}: {:.0} % of the lit pixels are saturated, must be at most {:.0} %: move away, or lower the light",
+        share * 100.0, MAX_SATURATED * 100.0
+    )]
+    Saturated {
+        /// The session.
+        session: String,
+        /// Share of the lit pixels of all images.
+        share: f64,
+    },
     /// The sphere leaves the image.
     #[error(
         "{session}: the sphere is cut by the frame: at most {:.0} % of its outline lies within an image, must be at least \
@@ -69,8 +80,7 @@ pub enum Refusal {
     },
     /// There is too little to fit.
     #[error(
-        "{session}: {n_samples} usable samples, must be at least {required}: too dark, saturated ({:.0} % of the target) or \
-         too far away", saturated_share * 100.0
+        "{session}: {n_samples} usable samples, must be at least {required}: too dark, too small or too far away"
     )]
     FewSamples {
         /// The session.
@@ -79,8 +89,6 @@ pub enum Refusal {
         n_samples: usize,
         /// What is needed.
         required: usize,
-        /// Share of the image's lit pixels that are saturated.
-        saturated_share: f64,
     },
     /// The surface is not of one albedo, or not Lambertian.
     #[error(
@@ -126,21 +134,37 @@ const MAX_OUTLIERS: f64 = 0.15;
 /// Fewer samples than this do not hold the unknowns.
 const MIN_SAMPLES: usize = 1_500;
 
-/// Refuses what does not fit.
-pub(super) fn check(scans: &[Scan], full_scale: f64, estimate: &Estimate) -> Result<(), Refusal> {
-    for (scan, fit) in scans.iter().zip(&estimate.fits) {
-        check_fit(scan, full_scale, fit)?;
+/// More saturated pixels than this share leave too little of a target; as for shading images.
+const MAX_SATURATED: f64 = 0.2;
+
+/// Refuses what is too bright to learn from.
+pub(super) fn check_brightness(scans: &[Scan], full_scale: f64) -> Result<(), Refusal> {
+    for scan in scans {
+        let share = saturated_share(scan, full_scale);
+        if share > MAX_SATURATED {
+            return Err(Refusal::Saturated {
+                session: scan.name.clone(),
+                share,
+            });
+        }
     }
     Ok(())
 }
 
-fn check_fit(scan: &Scan, full_scale: f64, fit: &SessionFit) -> Result<(), Refusal> {
+/// Refuses what does not fit.
+pub(super) fn check_fits(scans: &[Scan], estimate: &Estimate) -> Result<(), Refusal> {
+    for (scan, fit) in scans.iter().zip(&estimate.fits) {
+        check_fit(scan, fit)?;
+    }
+    Ok(())
+}
+
+fn check_fit(scan: &Scan, fit: &SessionFit) -> Result<(), Refusal> {
     if fit.n_samples < MIN_SAMPLES {
         return Err(Refusal::FewSamples {
             session: scan.name.clone(),
             n_samples: fit.n_samples,
             required: MIN_SAMPLES,
-            saturated_share: saturated_share(scan, full_scale),
         });
     }
     let beyond_noise = (fit.deviation.powi(2) - fit.noise.powi(2)).max(0.0).sqrt();

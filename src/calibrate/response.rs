@@ -189,7 +189,6 @@ pub fn response_check(
                 session: scan.name.clone(),
                 n_samples: compared.len(),
                 required: 10,
-                saturated_share: 0.0,
             }
         })?;
     let is_masked = |c: &Compared| c.interreflected_share >= MAX_INTERREFLECTED;
