@@ -7,6 +7,7 @@
 pub mod capture;
 pub mod config;
 pub mod control;
+pub mod evaluate;
 pub mod export;
 pub mod fusion;
 pub mod geometry;

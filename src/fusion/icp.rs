@@ -7,6 +7,7 @@
 use super::noise::DepthNoise;
 use super::preprocess::{N_REDUCED, VertexMap};
 use super::raycast::ModelMap;
+use super::steps::{FusionStep, OnStep};
 use super::volume::TsdfVolume;
 use crate::geometry::{CameraModel, Pose, increment};
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
@@ -143,6 +144,7 @@ pub fn align(
     guess: &Pose,
     noise: &DepthNoise,
     params: &IcpParams,
+    on_step: &mut OnStep,
 ) -> Option<(Pose, Fit)> {
     let mut world_from_camera = *guess;
     for (coarse, &iterations) in params.iterations.iter().enumerate() {
@@ -160,6 +162,7 @@ pub fn align(
             }
         }
     }
+    on_step(FusionStep::Icp);
     let mut equations = NormalEquations::ZERO;
     for _ in 0..params.sdf_iterations.max(1) {
         equations = point_to_distance(&levels[0], model.volume, &world_from_camera, noise);
@@ -169,6 +172,7 @@ pub fn align(
             break;
         }
     }
+    on_step(FusionStep::SdfAlignment);
     let fit = Fit {
         inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
         rmse_m: (equations.weighted_square / equations.weight.max(f64::MIN_POSITIVE)).sqrt(),

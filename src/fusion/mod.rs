@@ -13,6 +13,7 @@ mod noise;
 mod params;
 mod preprocess;
 mod raycast;
+mod steps;
 #[cfg(test)]
 mod tests;
 mod volume;
@@ -21,6 +22,7 @@ pub use icp::{Fit, IcpParams};
 pub use noise::DepthNoise;
 pub use params::FusionParams;
 pub use raycast::ModelMap;
+pub use steps::{FusionStep, OnStep};
 
 use crate::geometry::{CameraModel, Pose, TriMesh, increment, motion_between};
 use depth_camera::Image;
@@ -129,20 +131,31 @@ impl Fusion {
 
     /// Tracks and fuses one depth image (metres, 0 is none) taken at `time_secs` of the device's clock.
     pub fn fuse(&mut self, depth: &Image<f32>, time_secs: f64) -> TrackingOutcome {
+        self.fuse_observed(depth, time_secs, &mut |_| {})
+    }
+
+    /// Like [`Self::fuse`], telling of each step when it ends.
+    pub fn fuse_observed(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        on_step: &mut OnStep,
+    ) -> TrackingOutcome {
         let Some((depth, pyramid)) = self.prepare(depth) else {
             self.track.velocity = Vector6::zeros();
             return TrackingOutcome::NoDepth;
         };
+        on_step(FusionStep::Preprocess);
         let Some(model) = &self.model else {
-            self.accept(&depth, &pyramid, Pose::identity(), time_secs);
+            self.accept(&depth, &pyramid, Pose::identity(), time_secs, on_step);
             return TrackingOutcome::Tracked {
                 world_from_camera: Pose::identity(),
                 fit: None,
             };
         };
-        match self.locate(&pyramid, model, time_secs) {
+        match self.locate(&pyramid, model, time_secs, on_step) {
             Ok((world_from_camera, fit)) => {
-                self.accept(&depth, &pyramid, world_from_camera, time_secs);
+                self.accept(&depth, &pyramid, world_from_camera, time_secs, on_step);
                 TrackingOutcome::Tracked {
                     world_from_camera,
                     fit: Some(fit),
@@ -165,7 +178,7 @@ impl Fusion {
         let Some((depth, pyramid)) = self.prepare(depth) else {
             return TrackingOutcome::NoDepth;
         };
-        self.accept(&depth, &pyramid, *world_from_camera, time_secs);
+        self.accept(&depth, &pyramid, *world_from_camera, time_secs, &mut |_| {});
         TrackingOutcome::Tracked {
             world_from_camera: *world_from_camera,
             fit: None,
@@ -211,6 +224,7 @@ impl Fusion {
         pyramid: &FramePyramid,
         model: &ModelMap,
         time_secs: f64,
+        on_step: &mut OnStep,
     ) -> Result<(Pose, Fit), LossReason> {
         let elapsed = time_secs - self.track.time_secs;
         let predicted = increment(&(self.track.velocity * elapsed.clamp(0.0, MAX_PREDICTION_SECS)));
@@ -227,6 +241,7 @@ impl Fusion {
             &guess,
             &self.noise,
             &self.params.icp,
+            on_step,
         )
         .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         self.judge(&pose, &fit, pyramid, elapsed)?;
@@ -276,6 +291,7 @@ impl Fusion {
         pyramid: &FramePyramid,
         world_from_camera: Pose,
         time_secs: f64,
+        on_step: &mut OnStep,
     ) {
         let observations = integrate::observe(depth, &pyramid.full, &self.noise);
         let band = integrate::blocks_in_band(
@@ -284,6 +300,7 @@ impl Fusion {
             self.rays.full(),
             &world_from_camera,
         );
+        on_step(FusionStep::Allocate);
         integrate::integrate(
             &mut self.volume,
             &band,
@@ -291,6 +308,7 @@ impl Fusion {
             &self.camera,
             &world_from_camera,
         );
+        on_step(FusionStep::Integrate);
         let range = DepthRange {
             near_m: self.params.depth_min_m as f32,
             far_m: self.params.depth_max_m as f32,
@@ -303,6 +321,7 @@ impl Fusion {
             &world_from_camera,
             range,
         ));
+        on_step(FusionStep::Raycast);
         self.track = self
             .track
             .moved_to(world_from_camera, time_secs, self.n_fused > 0);
