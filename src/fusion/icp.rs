@@ -30,7 +30,7 @@ impl Default for IcpParams {
             iterations: [8, 6, 0],
             max_distance_m: [0.08, 0.04, 0.02],
             max_normal_angle_rad: 0.6,
-            sdf_iterations: [4, 3],
+            sdf_iterations: [4, 2],
         }
     }
 }

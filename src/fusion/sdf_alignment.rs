@@ -9,7 +9,6 @@ use super::normal_equations::{LANES, NormalEquations, Rows, TileSums, huber_weig
 use super::pyramid::{Level, N_REDUCED};
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
-use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Aligns a frame to the volume from a first guess, on the images reduced by 8 and then by 4, with so many iterations at
@@ -91,27 +90,40 @@ impl PointToDistance<'_> {
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
         let reach = 0.9 * self.volume.truncation_m();
+        let mut voxels = [[0; 3]; LANES];
+        let mut fractions = [[0.0; LANES]; 3];
         for i in 0..LANES {
             let point = [points.point[0][i], points.point[1][i], points.point[2][i]];
-            let lever = turn(&self.rotation, &point, &[0.0; 3]);
-            let place = Vector3::from([0, 1, 2].map(|axis| lever[axis] + self.centre[axis]));
-            let found = match points.normal[2][i] < 0.0 {
-                true => self.volume.sample_with_gradient(&place),
-                false => None,
-            };
-            let (distance, gradient) = found.unwrap_or_default();
+            let [x, y, z] = turn(&self.rotation, &point, &[0.0; 3]);
+            let [cx, cy, cz] = self.centre;
+            let (voxel, fraction) = self.volume.place([x + cx, y + cy, z + cz]);
+            voxels[i] = voxel;
+            for (axis, lever) in [x, y, z].into_iter().enumerate() {
+                rows.lever[axis][i] = lever;
+                fractions[axis][i] = fraction[axis];
+            }
+        }
+        // Where nothing was seen all corners are 0, and so is the gradient.
+        let mut corners = [[0.0; 8]; LANES];
+        for i in 0..LANES {
+            if points.normal[2][i] < 0.0 {
+                corners[i] = self.volume.corners(voxels[i]).unwrap_or_default();
+            }
+        }
+        for i in 0..LANES {
+            let fraction = [fractions[0][i], fractions[1][i], fractions[2][i]];
+            let (distance, [gx, gy, gz]) = self.volume.interpolate(&corners[i], fraction);
             // At the band's ends the distance is cut off and its gradient falls.
-            let counts = distance.abs() <= reach && gradient.norm_squared() >= 0.25;
-            let sigma = self.noise.sigma_m(point[2]);
+            let counts = (distance.abs() <= reach) & (gx * gx + gy * gy + gz * gz >= 0.25);
+            let sigma = self.noise.sigma_m(points.point[2][i]);
             rows.residual[i] = distance;
             rows.weight[i] = if counts {
                 huber_weight(distance, sigma)
             } else {
                 0.0
             };
-            for axis in 0..3 {
-                rows.lever[axis][i] = lever[axis];
-                rows.normal[axis][i] = gradient[axis];
+            for (axis, gradient) in [gx, gy, gz].into_iter().enumerate() {
+                rows.normal[axis][i] = gradient;
             }
         }
     }

@@ -202,8 +202,25 @@ impl TsdfVolume {
     /// Signed distance (m) and its gradient (m per m) by trilinear interpolation; `None` unless all eight voxels were seen.
     #[inline]
     pub fn sample_with_gradient(&self, point: &Vector3<f32>) -> Option<(f32, Vector3<f32>)> {
-        let (corners, [fx, fy, fz]) = self.corners(point)?;
-        let [c000, c100, c010, c110, c001, c101, c011, c111] = corners;
+        let (voxel, fraction) = self.place([point.x, point.y, point.z]);
+        let corners = self.corners(voxel)?;
+        let (distance, gradient) = self.interpolate(&corners, fraction);
+        Some((distance, Vector3::from(gradient)))
+    }
+
+    /// The voxel at the low corner of a point's cell, and the point's place in the cell.
+    #[inline(always)]
+    pub fn place(&self, point: [f32; 3]) -> ([i32; 3], [f32; 3]) {
+        let grid = point.map(|x| x * self.inv_voxel);
+        let voxel = grid.map(floor);
+        let fraction = [0, 1, 2].map(|axis| grid[axis] - voxel[axis] as f32);
+        (voxel, fraction)
+    }
+
+    /// Distance (m) and gradient (m per m) between the eight corners of a cell, x fastest, in raw steps.
+    #[inline(always)]
+    pub fn interpolate(&self, corners: &[f32; 8], [fx, fy, fz]: [f32; 3]) -> (f32, [f32; 3]) {
+        let [c000, c100, c010, c110, c001, c101, c011, c111] = *corners;
         let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
         let (x00, x10) = (lerp(c000, c100, fx), lerp(c010, c110, fx));
         let (x01, x11) = (lerp(c001, c101, fx), lerp(c011, c111, fx));
@@ -215,59 +232,55 @@ impl TsdfVolume {
         );
         let dy = lerp(x10 - x00, x11 - x01, fz);
         let scale = self.truncation_m / TSDF_ONE;
-        let gradient = Vector3::new(dx, dy, y1 - y0) * (scale * self.inv_voxel);
-        Some((lerp(y0, y1, fz) * scale, gradient))
+        let gradient = [dx, dy, y1 - y0].map(|d| d * (scale * self.inv_voxel));
+        (lerp(y0, y1, fz) * scale, gradient)
     }
 
-    /// The eight voxels round a point, x fastest, in raw steps, and the point's place between them.
-    #[inline]
-    fn corners(&self, point: &Vector3<f32>) -> Option<([f32; 8], [f32; 3])> {
-        let grid = point * self.inv_voxel;
-        let voxel = [grid.x, grid.y, grid.z].map(floor);
-        let fraction = [0, 1, 2].map(|axis| grid[axis] - voxel[axis] as f32);
+    /// The eight voxels from `voxel` on, x fastest, in raw steps; `None` unless all were seen.
+    #[inline(always)]
+    pub fn corners(&self, voxel: [i32; 3]) -> Option<[f32; 8]> {
         let local = voxel.map(|i| i & 7);
-        let mut corners = [0.0f32; 8];
-        if local.iter().all(|&i| i < 7) {
-            let block = &self.blocks[self.find(voxel.map(|i| i >> 3))?];
-            let first = voxel_index(local);
-            for (corner, offset) in corners.iter_mut().zip([0, 1, 8, 9, 64, 65, 72, 73]) {
-                *corner = seen(block.tsdf[first + offset])?;
-            }
-        } else {
-            self.corners_of_several(voxel, &mut corners)?;
+        if local.contains(&7) {
+            return self.corners_of_several(voxel);
         }
-        Some((corners, fraction))
+        let tsdf = &self.blocks[self.find(voxel.map(|i| i >> 3))?].tsdf;
+        // Without a carry past the last voxel the eight indices stay within the block.
+        let first = voxel_index(local) % (BLOCK_VOXELS - 73);
+        let at = |offset: usize| tsdf[first + offset];
+        seen([at(0), at(1), at(8), at(9), at(64), at(65), at(72), at(73)])
     }
 }
 
 impl TsdfVolume {
     /// The eight voxels from `voxel` on where they lie in two, four or eight blocks; each block is looked up once.
-    fn corners_of_several(&self, voxel: [i32; 3], corners: &mut [f32; 8]) -> Option<()> {
-        let first = voxel.map(|i| i >> 3);
-        let local = voxel.map(|i| i & 7);
+    fn corners_of_several(&self, voxel: [i32; 3]) -> Option<[f32; 8]> {
+        let [x, y, z] = voxel.map(|i| (i & 7) as usize);
         // Bit a is set where the neighbour along axis a lies in another block.
-        let across = (0..3).fold(0, |bits, axis| {
-            bits | (usize::from(local[axis] == 7) << axis)
-        });
-        let mut blocks = [0; 8];
-        for (side, block) in blocks.iter_mut().enumerate() {
-            if side & !across == 0 {
-                let coord = [0, 1, 2].map(|axis| first[axis] + (side >> axis & 1) as i32);
-                *block = self.find(coord)?;
-            }
+        let across = usize::from(x == 7) | usize::from(y == 7) << 1 | usize::from(z == 7) << 2;
+        let (xs, ys, zs) = ([x, (x + 1) & 7], [y, (y + 1) & 7], [z, (z + 1) & 7]);
+        let (mut blocks, mut corners) = ([0; 8], [0; 8]);
+        for side in 0..8 {
+            let step = [side & 1, side >> 1 & 1, side >> 2];
+            blocks[side] = match side & across {
+                known if known != side => blocks[known],
+                _ => self.find([0, 1, 2].map(|axis| (voxel[axis] >> 3) + step[axis] as i32))?,
+            };
+            let index = xs[step[0]] + 8 * ys[step[1]] + 64 * zs[step[2]];
+            corners[side] = self.blocks[blocks[side]].tsdf[index % BLOCK_VOXELS];
         }
-        for (index, corner) in corners.iter_mut().enumerate() {
-            let at = [0, 1, 2].map(|axis| (local[axis] + (index >> axis & 1) as i32) & 7);
-            *corner = seen(self.blocks[blocks[index & across]].tsdf[voxel_index(at)])?;
-        }
-        Some(())
+        seen(corners)
     }
 }
 
-/// A voxel's distance in raw steps; `None` if it was never seen.
+/// Distances in raw steps; `None` unless all voxels were seen.
 #[inline(always)]
-fn seen(tsdf: i16) -> Option<f32> {
-    (tsdf != UNSEEN).then_some(f32::from(tsdf))
+fn seen(corners: [i16; 8]) -> Option<[f32; 8]> {
+    let (mut values, mut all_seen) = ([0.0; 8], true);
+    for (value, tsdf) in values.iter_mut().zip(corners) {
+        all_seen &= tsdf != UNSEEN;
+        *value = f32::from(tsdf);
+    }
+    all_seen.then_some(values)
 }
 
 /// By how many places to grow a list of `len`, of which no more than `most` may be had.
