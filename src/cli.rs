@@ -1,5 +1,7 @@
-//! The command line: what can be asked for here, how it is done in [`run`], what is said in the end in [`summary`].
+//! The command line: what can be asked for here, how it is done in [`run`] and [`bench`], what is said in
+//! the end in [`summary`].
 
+pub mod bench;
 pub mod run;
 pub mod summary;
 
@@ -33,6 +35,19 @@ pub enum Command {
     Simulate(SimulateArgs),
     /// Fuse and refine the recording that comes with the program
     Demo(DemoArgs),
+    /// Measure tracking and fusion on a recorded session
+    Bench(BenchArgs),
+}
+
+impl Command {
+    /// Whether standard output is for one JSON object.
+    pub fn prints_json(&self) -> bool {
+        match self {
+            Command::Replay(args) => args.json,
+            Command::Bench(args) => args.json,
+            Command::Simulate(_) | Command::Demo(_) => false,
+        }
+    }
 }
 
 /// `relief replay`.
@@ -124,6 +139,39 @@ pub struct DemoArgs {
     /// Folder for the outputs; a new one under `out` without it
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+}
+
+/// `relief bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Distance between voxels, metres
+    #[arg(long, value_name = "M")]
+    pub voxel_size: Option<f64>,
+    /// Depth beyond this is ignored, metres
+    #[arg(long, value_name = "M")]
+    pub depth_max: Option<f64>,
+    /// Threads; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl BenchArgs {
+    /// What the flags override in the configuration.
+    pub fn overrides(&self) -> Overrides {
+        Overrides {
+            voxel_size_m: self.voxel_size,
+            depth_max_m: self.depth_max,
+            max_snapshots: None,
+        }
+    }
 }
 
 /// A sensor by name.

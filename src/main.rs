@@ -5,7 +5,7 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command,
+    Cli, Command, bench,
     run::{self, Verdict},
     summary,
 };
@@ -18,7 +18,7 @@ use tracing_subscriber::{EnvFilter, fmt};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    let prints_json = matches!(&cli.command, Command::Replay(args) if args.json);
+    let prints_json = cli.command.prints_json();
     let progress = Progress::new(match prints_json {
         true => ProgressStyle::Silent,
         false => ProgressStyle::of_stderr(),
@@ -29,6 +29,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => run::replay(args, &progress),
         Command::Simulate(args) => run::simulate(args),
         Command::Demo(args) => run::demo(args, &progress),
+        Command::Bench(args) => bench::bench(args),
     };
     let verdict = ran.unwrap_or_else(|error| {
         if prints_json {

@@ -211,13 +211,13 @@ fn calibration_warnings(found: &FoundCalibration, info: &CameraInfo) -> Vec<Stri
 }
 
 /// The name of the session's folder.
-fn session_name(session: &Path) -> String {
+pub(super) fn session_name(session: &Path) -> String {
     let absolute = session.canonicalize();
     let path = absolute.as_deref().unwrap_or(session);
     let name = path.file_name().unwrap_or(path.as_os_str());
     name.to_string_lossy().into_owned()
 }
 
-fn all_processors() -> NonZeroUsize {
+pub(super) fn all_processors() -> NonZeroUsize {
     thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }

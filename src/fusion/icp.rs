@@ -1,16 +1,13 @@
-//! Tracking: projective point-to-plane ICP against the raycast model (Newcombe et al. 2011), then direct alignment to the
-//! signed distances themselves (Bylow et al. 2013; Canelhas et al. 2013).
-//!
-//! Both accumulate 6×6 normal equations over fixed tiles of rows, summed in order, so that the result does not depend on
-//! the number of threads.
+//! Tracking: projective point-to-plane ICP against the raycast model (Newcombe et al. 2011).
 
+use super::lens::Lens;
 use super::noise::DepthNoise;
-use super::preprocess::{N_REDUCED, VertexMap};
+use super::normal_equations::{LANES, Lane, NormalEquations, Rows, TileSums, huber_weight};
+use super::pyramid::{FramePyramid, Level, N_REDUCED};
 use super::raycast::ModelMap;
-use super::volume::TsdfVolume;
-use crate::geometry::{CameraModel, Pose, increment};
-use nalgebra::{Matrix6, Point3, Vector3, Vector6};
-use rayon::prelude::*;
+use crate::geometry::Pose;
+use nalgebra::{Matrix3, Vector3};
+use pulp::{Arch, Simd, WithSimd};
 use serde::{Deserialize, Serialize};
 
 /// Gates and iterations of the alignment.
@@ -23,136 +20,61 @@ pub struct IcpParams {
     pub max_distance_m: [f64; 3],
     /// Largest angle between the normals of a pair, radians.
     pub max_normal_angle_rad: f64,
-    /// Iterations of the direct alignment to the signed distances.
-    pub sdf_iterations: usize,
+    /// Iterations of the direct alignment to the signed distances, on the images reduced by 8 and 4.
+    pub sdf_iterations: [usize; 2],
 }
 
 impl Default for IcpParams {
     fn default() -> Self {
         IcpParams {
-            iterations: [8, 6, 3],
+            iterations: [8, 6, 0],
             max_distance_m: [0.08, 0.04, 0.02],
             max_normal_angle_rad: 0.6,
-            sdf_iterations: 6,
+            sdf_iterations: [4, 2],
         }
     }
 }
 
-/// Normal equations of one iteration.
-#[derive(Clone, Copy, Debug)]
-struct NormalEquations {
-    jtj: Matrix6<f64>,
-    jtr: Vector6<f64>,
-    /// Sum of weights and of weighted squared residuals (m²).
-    weight: f64,
-    weighted_square: f64,
-    n_points: usize,
-    n_inliers: usize,
-}
-
-impl NormalEquations {
-    const ZERO: NormalEquations = NormalEquations {
-        jtj: Matrix6::new(
-            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-            0.0, 0.0,
-        ),
-        jtr: Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        weight: 0.0,
-        weighted_square: 0.0,
-        n_points: 0,
-        n_inliers: 0,
-    };
-
-    fn merge(mut self, other: &NormalEquations) -> Self {
-        self.jtj += other.jtj;
-        self.jtr += other.jtr;
-        self.weight += other.weight;
-        self.weighted_square += other.weighted_square;
-        self.n_points += other.n_points;
-        self.n_inliers += other.n_inliers;
-        self
-    }
-
-    /// Adds the residual `n·(p − q)` of a point p (relative to `centre`) with the plane normal n.
-    fn add(&mut self, lever: &Vector3<f64>, normal: &Vector3<f64>, residual: f64, weight: f64) {
-        let torque = lever.cross(normal);
-        let row = Vector6::new(torque.x, torque.y, torque.z, normal.x, normal.y, normal.z);
-        self.jtj.syger(weight, &row, &row, 1.0);
-        self.jtr += row * (weight * residual);
-        self.weight += weight;
-        self.weighted_square += weight * residual * residual;
-        self.n_inliers += 1;
-    }
-
-    /// The left increment about `centre` that lowers the residuals, with a prior that holds what the data do not see.
-    fn solve(&self, centre: &Vector3<f64>) -> Option<Pose> {
-        let mut jtj = self.jtj;
-        jtj.fill_upper_triangle_with_lower_triangle();
-        // A thousandth of a point's worth of prior: 1 rad and 1 m are far beyond any frame's motion.
-        let prior = 1e-3 * self.weight / self.n_inliers.max(1) as f64;
-        jtj += Matrix6::identity() * prior;
-        let step = -jtj.cholesky()?.solve(&self.jtr);
-        let about_centre = increment(&step);
-        let shift = centre - about_centre.rotation * centre;
-        let mut pose = about_centre;
-        pose.translation.vector += shift;
-        Some(pose)
-    }
-
-    /// Smallest over largest eigenvalue, levers scaled by `scale_m` so that angles and lengths compare.
-    fn conditioning(&self, scale_m: f64) -> f64 {
-        let mut jtj = self.jtj;
-        jtj.fill_upper_triangle_with_lower_triangle();
-        let s = 1.0 / scale_m;
-        let scale = Matrix6::from_diagonal(&Vector6::new(s, s, s, 1.0, 1.0, 1.0));
-        let eigenvalues = (scale * jtj * scale).symmetric_eigenvalues();
-        eigenvalues.min().max(0.0) / eigenvalues.max().max(f64::MIN_POSITIVE)
-    }
-}
-
-/// How well a frame fits the model.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Fit {
-    /// Share of the frame's points that found their place on the model.
-    pub inlier_share: f64,
-    /// Weighted root mean square distance of the inliers to the model, metres.
-    pub rmse_m: f64,
-    /// Smallest over largest eigenvalue of the normal equations: near zero the geometry lets the camera slide.
-    pub conditioning: f64,
-    /// Share of the frame's points that lie behind a surface of the model: the camera would look through it.
-    pub see_through_share: f64,
-}
-
-/// What the frame is aligned to.
-pub struct Model<'a> {
+/// The model as the frame is aligned to it.
+#[derive(Clone, Copy)]
+pub struct CastModel<'a> {
     /// The model raycast from `world_from_camera`.
     pub map: &'a ModelMap,
     /// Camera of the map's pixels.
-    pub map_camera: &'a CameraModel,
+    pub lens: &'a Lens,
     /// The pose from which the map was cast.
     pub world_from_camera: &'a Pose,
-    /// The volume itself.
-    pub volume: &'a TsdfVolume,
 }
 
-/// Aligns a frame's vertex maps (finest first) to the model, from a first guess; `None` where nothing matches at all.
+/// Aligns a frame to the raycast model from a first guess; `None` where nothing matches at all.
 pub fn align(
-    levels: &[VertexMap; N_REDUCED],
-    model: &Model,
+    arch: Arch,
+    frame: &FramePyramid,
+    model: &CastModel,
     guess: &Pose,
     noise: &DepthNoise,
     params: &IcpParams,
-) -> Option<(Pose, Fit)> {
+) -> Option<Pose> {
     let mut world_from_camera = *guess;
     for (coarse, &iterations) in params.iterations.iter().enumerate() {
-        let level = &levels[N_REDUCED - 1 - coarse];
+        let level = &frame.reduced[N_REDUCED - 1 - coarse];
+        let gates = Gates {
+            max_distance_squared: (params.max_distance_m[coarse] * params.max_distance_m[coarse])
+                as f32,
+            min_normal_cosine: params.max_normal_angle_rad.cos() as f32,
+        };
         for _ in 0..iterations {
-            let gates = Gates {
-                max_distance_m: params.max_distance_m[coarse] as f32,
-                min_normal_cosine: params.max_normal_angle_rad.cos() as f32,
-            };
-            let equations = point_to_plane(level, model, &world_from_camera, noise, gates);
+            let motion = Motion::new(&world_from_camera, model.world_from_camera);
+            let equations = NormalEquations::of_tiles(level.n_tiles(), |tile| {
+                arch.dispatch(PointToPlane {
+                    level,
+                    tile,
+                    model,
+                    motion: &motion,
+                    noise,
+                    gates,
+                })
+            });
             let step = equations.solve(&world_from_camera.translation.vector)?;
             world_from_camera = step * world_from_camera;
             if is_small(&step) {
@@ -160,164 +82,222 @@ pub fn align(
             }
         }
     }
-    let mut equations = NormalEquations::ZERO;
-    for _ in 0..params.sdf_iterations.max(1) {
-        equations = point_to_distance(&levels[0], model.volume, &world_from_camera, noise);
-        let step = equations.solve(&world_from_camera.translation.vector)?;
-        world_from_camera = step * world_from_camera;
-        if is_small(&step) {
-            break;
-        }
-    }
-    let fit = Fit {
-        inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
-        rmse_m: (equations.weighted_square / equations.weight.max(f64::MIN_POSITIVE)).sqrt(),
-        conditioning: equations.conditioning(0.5),
-        see_through_share: see_through_share(&levels[1], model, &world_from_camera),
-    };
-    Some((world_from_camera, fit))
+    Some(world_from_camera)
+}
+
+/// A step below 10 µm and 10 µrad: the next level, or the next frame, sees more.
+pub fn is_small(step: &Pose) -> bool {
+    step.translation.vector.norm() < 1e-5 && step.rotation.angle() < 1e-5
 }
 
 /// Points this many truncation distances behind the model's surface count as seen through it.
-const BEHIND_TRUNCATIONS: f64 = 2.0;
+const BEHIND_TRUNCATIONS: f32 = 2.0;
 
 /// Share of a frame's points that lie behind the model's surface, as seen from where the model was raycast.
-fn see_through_share(live: &VertexMap, model: &Model, world_from_camera: &Pose) -> f64 {
+pub fn see_through_share(
+    level: &Level,
+    model: &CastModel,
+    world_from_camera: &Pose,
+    truncation_m: f32,
+) -> f64 {
+    let motion = Motion::new(world_from_camera, model.world_from_camera);
     let map_from_world = model.world_from_camera.inverse();
-    let map_from_camera = map_from_world * world_from_camera;
-    let margin = BEHIND_TRUNCATIONS * model.volume.truncation_m() as f64;
+    let axis = Vector3::from(rows(map_from_world.rotation.to_rotation_matrix().matrix())[2]);
+    let offset = map_from_world.translation.vector.z as f32;
+    let margin = BEHIND_TRUNCATIONS * truncation_m;
     let (mut n_seen, mut n_behind) = (0usize, 0usize);
-    for point in live.points.data().iter().filter(|point| point.z > 0.0) {
-        let point_map = map_from_camera * Point3::from(point.cast::<f64>());
-        let Some(pixel) = model.map_camera.project(&point_map) else {
+    for pixel in 0..level.depth.len() {
+        let point = level.point(pixel);
+        if point[2] <= 0.0 {
+            continue;
+        }
+        let point_map = turn(&motion.map_rotation, &point, &motion.map_translation);
+        let cell = model.lens.pixel_index(point_map) as usize;
+        let Some(normal) = model.map.normals.data().get(cell) else {
             continue;
         };
-        if !model.map_camera.contains(&pixel, 0.0) {
+        if *normal == Vector3::zeros() {
             continue;
         }
-        let (u, v) = ((pixel.x + 0.5) as usize, (pixel.y + 0.5) as usize);
-        if *model.map.normals.at(u, v) == Vector3::zeros() {
-            continue;
-        }
-        let surface = map_from_world * Point3::from(model.map.points.at(u, v).cast::<f64>());
+        let surface_z = axis.dot(&model.map.points.data()[cell]) + offset;
         n_seen += 1;
-        n_behind += usize::from(point_map.z > surface.z + margin);
+        n_behind += usize::from(point_map[2] > surface_z + margin);
     }
     n_behind as f64 / n_seen.max(1) as f64
 }
 
-/// A step below 1 µm and 1 µrad changes nothing that depth could see.
-fn is_small(step: &Pose) -> bool {
-    step.translation.vector.norm() < 1e-6 && step.rotation.angle() < 1e-6
-}
-
 #[derive(Clone, Copy)]
 struct Gates {
-    max_distance_m: f32,
+    max_distance_squared: f32,
     min_normal_cosine: f32,
 }
 
-/// Huber weight: residuals beyond `delta` pull with constant force.
-fn huber(residual: f32, delta: f32) -> f32 {
-    if residual.abs() <= delta {
-        1.0
-    } else {
-        delta / residual.abs()
+/// A rotation by rows.
+type Rotation = [[f32; 3]; 3];
+
+/// The frame's pose, towards the world and towards the camera from which the model was cast.
+struct Motion {
+    world_rotation: Rotation,
+    centre: [f32; 3],
+    map_rotation: Rotation,
+    map_translation: [f32; 3],
+}
+
+impl Motion {
+    fn new(world_from_camera: &Pose, world_from_map: &Pose) -> Self {
+        let map_from_camera = world_from_map.inverse() * world_from_camera;
+        Motion {
+            world_rotation: rows(world_from_camera.rotation.to_rotation_matrix().matrix()),
+            centre: world_from_camera.translation.vector.cast::<f32>().into(),
+            map_rotation: rows(map_from_camera.rotation.to_rotation_matrix().matrix()),
+            map_translation: map_from_camera.translation.vector.cast::<f32>().into(),
+        }
     }
 }
 
-/// Sums `tile_of(v)` over all rows, tile by tile in order.
-fn sum_rows(height: usize, row: impl Fn(usize, &mut NormalEquations) + Sync) -> NormalEquations {
-    const TILE_ROWS: usize = 8;
-    let tiles: Vec<NormalEquations> = (0..height.div_ceil(TILE_ROWS))
-        .into_par_iter()
-        .map(|tile| {
-            let mut sum = NormalEquations::ZERO;
-            for v in tile * TILE_ROWS..((tile + 1) * TILE_ROWS).min(height) {
-                row(v, &mut sum);
-            }
-            sum
-        })
-        .collect();
-    tiles
-        .iter()
-        .fold(NormalEquations::ZERO, NormalEquations::merge)
+/// The rows of a matrix in single precision.
+pub fn rows(matrix: &Matrix3<f64>) -> Rotation {
+    matrix.cast::<f32>().transpose().into()
 }
 
-/// Residuals are Huber-weighted beyond this many sigmas of the depth noise.
-const HUBER_SIGMAS: f32 = 2.0;
+/// Turns a point, then moves it.
+#[inline(always)]
+pub fn turn(rotation: &Rotation, point: &[f32; 3], translation: &[f32; 3]) -> [f32; 3] {
+    [0, 1, 2].map(|row| {
+        let [x, y, z] = rotation[row];
+        x * point[0] + y * point[1] + z * point[2] + translation[row]
+    })
+}
 
-fn point_to_plane(
-    live: &VertexMap,
-    model: &Model,
-    world_from_camera: &Pose,
-    noise: &DepthNoise,
+struct PointToPlane<'a> {
+    level: &'a Level,
+    tile: usize,
+    model: &'a CastModel<'a>,
+    motion: &'a Motion,
+    noise: &'a DepthNoise,
     gates: Gates,
-) -> NormalEquations {
-    let map_from_world = model.world_from_camera.inverse();
-    let map_from_camera = map_from_world * world_from_camera;
-    let rotation = world_from_camera.rotation.to_rotation_matrix();
-    let centre = world_from_camera.translation.vector;
-    sum_rows(live.points.height(), |v, sum| {
-        for (point, normal) in live.points.row(v).iter().zip(live.normals.row(v)) {
-            if point.z <= 0.0 || *normal == Vector3::zeros() {
-                continue;
-            }
-            sum.n_points += 1;
-            let point_camera = Point3::from(point.cast::<f64>());
-            let Some(pixel) = model.map_camera.project(&(map_from_camera * point_camera)) else {
-                continue;
-            };
-            if !model.map_camera.contains(&pixel, 0.0) {
-                continue;
-            }
-            let (u, v) = ((pixel.x + 0.5) as usize, (pixel.y + 0.5) as usize);
-            let model_normal = *model.map.normals.at(u, v);
-            let normal_world = rotation * normal.cast::<f64>();
-            if (normal_world.dot(&model_normal.cast())) < gates.min_normal_cosine as f64 {
-                continue;
-            }
-            let lever = rotation * point_camera.coords;
-            let offset = lever + centre - model.map.points.at(u, v).cast::<f64>();
-            if offset.norm_squared() > (gates.max_distance_m * gates.max_distance_m) as f64 {
-                continue;
-            }
-            let normal = model_normal.cast::<f64>();
-            let residual = normal.dot(&offset);
-            let sigma = noise.sigma_m(point.z);
-            let weight = huber(residual as f32, HUBER_SIGMAS * sigma) / (sigma * sigma);
-            sum.add(&lever, &normal, residual, weight as f64);
-        }
-    })
 }
 
-fn point_to_distance(
-    live: &VertexMap,
-    volume: &TsdfVolume,
-    world_from_camera: &Pose,
-    noise: &DepthNoise,
-) -> NormalEquations {
-    let rotation = world_from_camera.rotation.to_rotation_matrix();
-    let centre = world_from_camera.translation.vector;
-    let reach = 0.9 * volume.truncation_m();
-    sum_rows(live.points.height(), |v, sum| {
-        for (point, normal) in live.points.row(v).iter().zip(live.normals.row(v)) {
-            if point.z <= 0.0 || *normal == Vector3::zeros() {
-                continue;
-            }
-            sum.n_points += 1;
-            let lever = rotation * point.cast::<f64>();
-            let point_world = lever + centre;
-            let Some((distance, gradient)) = volume.sample_with_gradient(&point_world.cast())
-            else {
+impl WithSimd for PointToPlane<'_> {
+    type Output = TileSums;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> TileSums {
+        let mut sums = TileSums::ZERO;
+        let mut rows = Rows::EMPTY;
+        for first in self.level.tile(self.tile).step_by(LANES) {
+            let Some(points) = Points::load(self.level, first) else {
                 continue;
             };
-            if distance.abs() > reach || gradient.norm_squared() < 0.25 {
-                continue;
-            }
-            let sigma = noise.sigma_m(point.z);
-            let weight = huber(distance, HUBER_SIGMAS * sigma) / (sigma * sigma);
-            sum.add(&lever, &gradient.cast(), distance as f64, weight as f64);
+            sums.n_points += points.n_valid;
+            self.residuals(&points, &mut rows);
+            sums.add(&rows);
         }
-    })
+        sums
+    }
+}
+
+impl PointToPlane<'_> {
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
+    #[inline(always)]
+    fn residuals(&self, points: &Points, rows: &mut Rows) {
+        let Motion {
+            world_rotation,
+            centre,
+            map_rotation,
+            map_translation,
+        } = self.motion;
+        let mut cells = [0; LANES];
+        for i in 0..LANES {
+            let point = [points.point[0][i], points.point[1][i], points.point[2][i]];
+            cells[i] = self
+                .model
+                .lens
+                .pixel_index(turn(map_rotation, &point, map_translation));
+            let lever = turn(world_rotation, &point, &[0.0; 3]);
+            for axis in 0..3 {
+                rows.lever[axis][i] = lever[axis];
+            }
+        }
+        let mut place = [[0.0; LANES]; 3];
+        let (map_points, map_normals) =
+            (self.model.map.points.data(), self.model.map.normals.data());
+        for i in 0..LANES {
+            let cell = cells[i] as usize;
+            let found = map_points.get(cell).zip(map_normals.get(cell));
+            for axis in 0..3 {
+                place[axis][i] = found.map_or(0.0, |(point, _)| point[axis]);
+                rows.normal[axis][i] = found.map_or(0.0, |(_, normal)| normal[axis]);
+            }
+        }
+        for i in 0..LANES {
+            let live = [
+                points.normal[0][i],
+                points.normal[1][i],
+                points.normal[2][i],
+            ];
+            let live = turn(world_rotation, &live, &[0.0; 3]);
+            let (mut cosine, mut residual, mut squared) = (0.0, 0.0, 0.0);
+            for axis in 0..3 {
+                let offset = rows.lever[axis][i] + centre[axis] - place[axis][i];
+                cosine += live[axis] * rows.normal[axis][i];
+                residual += offset * rows.normal[axis][i];
+                squared += offset * offset;
+            }
+            // Without a normal, of the frame or of the model, the cosine is 0.
+            let counts = (cosine >= self.gates.min_normal_cosine)
+                & (squared <= self.gates.max_distance_squared);
+            let sigma = self.noise.sigma_m(points.point[2][i]);
+            rows.residual[i] = residual;
+            rows.weight[i] = if counts {
+                huber_weight(residual, sigma)
+            } else {
+                0.0
+            };
+        }
+    }
+}
+
+/// Points of a level, camera frame.
+pub struct Points {
+    /// Places, metres.
+    pub point: [Lane; 3],
+    /// Normals; zero where there is none.
+    pub normal: [Lane; 3],
+    /// How many have a normal.
+    pub n_valid: u32,
+}
+
+impl Points {
+    /// The points of `LANES` pixels from `first` on; `None` if none of them has a normal.
+    #[inline(always)]
+    pub fn load(level: &Level, first: usize) -> Option<Points> {
+        let load = |plane: &[f32]| -> Lane {
+            let mut lane = [0.0; LANES];
+            let cells = &plane[first..plane.len().min(first + LANES)];
+            match cells.first_chunk::<LANES>() {
+                Some(cells) => lane = *cells,
+                None => lane[..cells.len()].copy_from_slice(cells),
+            }
+            lane
+        };
+        let normal = [0, 1, 2].map(|axis| load(&level.normals[axis]));
+        let n_valid = normal[2].iter().map(|&z| u32::from(z < 0.0)).sum();
+        if n_valid == 0 {
+            return None;
+        }
+        let (mut x, mut y, z) = (load(&level.rays.x), load(&level.rays.y), load(&level.depth));
+        for i in 0..LANES {
+            x[i] *= z[i];
+            y[i] *= z[i];
+        }
+        Some(Points {
+            point: [x, y, z],
+            normal,
+            n_valid,
+        })
+    }
 }

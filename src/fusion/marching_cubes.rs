@@ -1,235 +1,225 @@
 //! Marching cubes (Lorensen and Cline 1987) over the sparse volume.
 //!
-//! The triangles of a cube are not looked up but traced: crossings are joined along the cube's faces, always round the
-//! inside corners, into loops, and loops cut into fans. Two cubes see their common face alike, so that the mesh has no
-//! cracks wherever all voxels were seen.
+//! Crossed cubes and edges are found 64 at a time in bit masks. Every crossed edge belongs to the block of its lower voxel and
+//! carries one vertex, whose number is that of the crossed edges before it, so that cubes share vertices without a search.
+//! Blocks are worked on in parallel, and their parts put together in the order of allocation.
 
-use super::volume::{BLOCK_SIDE, TsdfVolume};
+use super::block_masks::{Cubes, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges};
+use super::cube_cases::{Case, edge_corners, trace_cases};
+use super::volume::{BLOCK_SIDE, BLOCK_VOXELS, TsdfVolume, voxel_index};
 use crate::geometry::TriMesh;
 use nalgebra::Point3;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use std::collections::HashMap;
-
-/// The triangles of one cube: edges (0..12) three by three.
-type Case = Vec<[u8; 3]>;
-
-/// Corners of edge `e` of a cube; corner `c` lies at (c & 1, c >> 1 & 1, c >> 2). Edge 4a + b runs along axis a.
-fn edge_corners(edge: u8) -> (u8, u8) {
-    let axis = edge / 4;
-    let (p, q) = ((axis + 1) % 3, (axis + 2) % 3);
-    let first = ((edge & 1) << p) | (((edge >> 1) & 1) << q);
-    (first, first | (1 << axis))
-}
-
-/// The edge between two neighbouring corners.
-fn edge_between(a: u8, b: u8) -> u8 {
-    (0..12)
-        .find(|&edge| edge_corners(edge) == (a.min(b), a.max(b)))
-        .expect("corners of one edge")
-}
-
-/// Corners of the cube's six faces, counter-clockwise seen from outside.
-fn face_loops() -> [[u8; 4]; 6] {
-    std::array::from_fn(|face| {
-        let (axis, side) = (face as u8 / 2, face as u8 % 2);
-        let (p, q) = ((axis + 1) % 3, (axis + 2) % 3);
-        let base = side << axis;
-        let loop_ = [base, base | 1 << p, base | 1 << p | 1 << q, base | 1 << q];
-        if side == 1 {
-            loop_
-        } else {
-            [loop_[0], loop_[3], loop_[2], loop_[1]]
-        }
-    })
-}
-
-/// Traces the triangles of all 256 sign patterns; bit c of a pattern is set where corner c lies inside.
-fn trace_cases() -> Vec<Case> {
-    let faces = face_loops();
-    (0..256u32)
-        .map(|pattern| trace_case(pattern as u8, &faces))
-        .collect()
-}
-
-fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
-    let inside = |corner: u8| pattern >> corner & 1 == 1;
-    // On each face, walk round it: the surface enters where outside turns to inside and leaves where inside turns to outside;
-    // each run of inside corners is cut off by one segment from its leaving edge back to its entering edge.
-    let mut next = [u8::MAX; 12];
-    for corners in faces {
-        for start in 0..4 {
-            let (before, first) = (corners[(start + 3) % 4], corners[start]);
-            if inside(before) || !inside(first) {
-                continue;
-            }
-            let mut last = start;
-            while inside(corners[(last + 1) % 4]) {
-                last = (last + 1) % 4;
-            }
-            let leave = edge_between(corners[last], corners[(last + 1) % 4]);
-            next[leave as usize] = edge_between(before, first);
-        }
-    }
-    let mut triangles = Vec::new();
-    let mut used = [false; 12];
-    for first in 0..12u8 {
-        if next[first as usize] == u8::MAX || used[first as usize] {
-            continue;
-        }
-        let mut ring = Vec::new();
-        let mut edge = first;
-        while !used[edge as usize] {
-            used[edge as usize] = true;
-            ring.push(edge);
-            edge = next[edge as usize];
-        }
-        triangles.extend((1..ring.len() - 1).map(|i| [ring[0], ring[i + 1], ring[i]]));
-    }
-    triangles
-}
-
-/// A mesh vertex's name: the voxel at the low end of its edge and the edge's axis.
-type VertexKey = ([i32; 3], u8);
-
-struct BlockMesh {
-    vertices: Vec<(VertexKey, Point3<f64>)>,
-    faces: Vec<[u32; 3]>,
-}
 
 /// Extracts the zero surface where all eight voxels of a cube have at least `min_weight`.
-///
-/// Blocks are visited in the order of their coordinates, so that the mesh does not depend on the order of allocation.
-pub fn marching_cubes(volume: &TsdfVolume, min_weight: f32) -> TriMesh {
-    let cases = trace_cases();
-    let mut order: Vec<usize> = (0..volume.coords().len()).collect();
-    order.sort_unstable_by_key(|&index| volume.coords()[index]);
-    let parts: Vec<BlockMesh> = order
+pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMesh {
+    let blocks = volume.blocks().par_iter();
+    let coords = volume.coords().par_iter();
+    let voxels: Vec<Voxels> = blocks.map(|block| Voxels::of(block, min_weight)).collect();
+    let neighbours: Vec<Neighbours> = coords.map(|&coord| Neighbours::of(volume, coord)).collect();
+    let cubes = neighbours
         .par_iter()
-        .map(|&index| mesh_block(volume, volume.coords()[index], min_weight, &cases))
-        .collect();
-    let mut mesh = TriMesh::default();
-    let mut index_of: HashMap<VertexKey, u32> = HashMap::new();
-    for part in parts {
-        let indices: Vec<u32> = part
+        .map(|around| Cubes::of(&voxels, around));
+    let cubes: Vec<Cubes> = cubes.collect();
+    let vertices = neighbours
+        .par_iter()
+        .map(|around| EdgeVertices::of(&cubes, around));
+    let mut vertices: Vec<EdgeVertices> = vertices.collect();
+    let n_vertices = number(&mut vertices);
+    let cases = trace_cases();
+    let grid = Grid {
+        volume,
+        edges: std::array::from_fn(|edge| edge_corners(edge as u8)),
+        cases: &cases,
+        voxels: &voxels,
+        neighbours: &neighbours,
+        cubes: &cubes,
+        vertices: &vertices,
+    };
+    grid.mesh(arch, n_vertices)
+}
+
+/// The vertices on a block's edges.
+struct EdgeVertices {
+    /// Edges with a vertex, by axis, each at the bit of its lower voxel.
+    edges: [Mask; 3],
+    /// Vertices of the block before each word of `edges`.
+    before: [[u16; SLABS]; 3],
+    n_vertices: u32,
+    /// Vertices of the blocks before this one.
+    first: u32,
+}
+
+impl EdgeVertices {
+    fn of(cubes: &[Cubes], neighbours: &Neighbours) -> Self {
+        let edges = used_edges(cubes, neighbours);
+        let (mut before, mut n_vertices) = ([[0; SLABS]; 3], 0);
+        for (before, word) in before
+            .as_flattened_mut()
+            .iter_mut()
+            .zip(edges.as_flattened())
+        {
+            *before = n_vertices as u16;
+            n_vertices += word.count_ones();
+        }
+        EdgeVertices {
+            edges,
+            before,
+            n_vertices,
+            first: 0,
+        }
+    }
+
+    /// Number of the vertex on an edge that has one.
+    #[inline(always)]
+    fn vertex(&self, axis: usize, slab: usize, bit: usize) -> u32 {
+        let lower = self.edges[axis][slab] & ((1 << bit) - 1);
+        self.first + u32::from(self.before[axis][slab]) + lower.count_ones()
+    }
+}
+
+/// Numbers the vertices of all blocks through; returns how many there are.
+fn number(vertices: &mut [EdgeVertices]) -> usize {
+    let mut n_vertices = 0;
+    for block in vertices {
+        block.first = n_vertices;
+        n_vertices += block.n_vertices;
+    }
+    n_vertices as usize
+}
+
+struct Grid<'a> {
+    volume: &'a TsdfVolume,
+    cases: &'a [Case],
+    /// Corners of a cube's edges.
+    edges: [(u8, u8); 12],
+    voxels: &'a [Voxels],
+    neighbours: &'a [Neighbours],
+    cubes: &'a [Cubes],
+    vertices: &'a [EdgeVertices],
+}
+
+impl Grid<'_> {
+    fn mesh(&self, arch: Arch, n_vertices: usize) -> TriMesh {
+        let mut vertices = vec![Point3::origin(); n_vertices];
+        let mut rest = &mut vertices[..];
+        let parts: Vec<&mut [Point3<f64>]> = self
             .vertices
             .iter()
-            .map(|(key, point)| {
-                *index_of.entry(*key).or_insert_with(|| {
-                    mesh.vertices.push(*point);
-                    mesh.vertices.len() as u32 - 1
-                })
+            .map(|block| {
+                rest.split_off_mut(..block.n_vertices as usize)
+                    .expect("numbered through")
             })
             .collect();
-        mesh.faces.extend(
-            part.faces
-                .iter()
-                .map(|face| face.map(|vertex| indices[vertex as usize]))
-                .filter(|[a, b, c]| a != b && b != c && c != a),
-        );
+        parts
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(block, part)| self.place(block, part));
+        let n_blocks = self.cubes.len();
+        let faces: Vec<Vec<[u32; 3]>> = (0..n_blocks.div_ceil(TASK_BLOCKS))
+            .into_par_iter()
+            .map(|task| {
+                let blocks = task * TASK_BLOCKS..((task + 1) * TASK_BLOCKS).min(n_blocks);
+                arch.dispatch(Faces { grid: self, blocks })
+            })
+            .collect();
+        TriMesh {
+            vertices,
+            faces: faces.concat(),
+        }
     }
-    mesh
+
+    /// Places a block's vertices where the distance is zero on their edges.
+    fn place(&self, block: usize, out: &mut [Point3<f64>]) {
+        let (edges, coord) = (&self.vertices[block].edges, self.volume.coords()[block]);
+        let edges = edges.iter().enumerate().flat_map(|(axis, mask)| {
+            mask.iter().enumerate().flat_map(move |(z, &word)| {
+                bits(word).map(move |bit| (axis, [bit & 7, bit >> 3, z]))
+            })
+        });
+        let voxel_size_m = f64::from(self.volume.voxel_size_m());
+        for (out, (axis, low)) in out.iter_mut().zip(edges) {
+            let mut high = low;
+            high[axis] += 1;
+            let (a, b) = (self.distance(block, low), self.distance(block, high));
+            let mut place = [0, 1, 2].map(|k| f64::from(coord[k] * BLOCK_SIDE + low[k] as i32));
+            place[axis] += a / (a - b);
+            *out = Point3::from(place.map(|x| x * voxel_size_m));
+        }
+    }
+
+    /// The raw distance of a voxel of a block or of the layer above it.
+    #[inline(always)]
+    fn distance(&self, block: usize, [x, y, z]: [usize; 3]) -> f64 {
+        let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
+        let block = self.neighbours[block].up[side] as usize;
+        debug_assert!(block != NONE as usize, "both ends of an edge were seen");
+        let index = voxel_index([x & 7, y & 7, z & 7].map(|i| i as i32));
+        f64::from(self.volume.blocks()[block].tsdf[index % BLOCK_VOXELS])
+    }
 }
 
-fn mesh_block(volume: &TsdfVolume, coord: [i32; 3], min_weight: f32, cases: &[Case]) -> BlockMesh {
-    let mut part = BlockMesh {
-        vertices: Vec::new(),
-        faces: Vec::new(),
-    };
-    let mut index_of: HashMap<VertexKey, u32> = HashMap::new();
-    let halo = Halo::gather(volume, coord, min_weight);
-    for z in 0..BLOCK_SIDE {
-        for y in 0..BLOCK_SIDE {
-            for x in 0..BLOCK_SIDE {
-                let Some(values) = halo.cube([x, y, z]) else {
-                    continue;
-                };
-                let pattern = (0..8).fold(0, |bits, c| bits | usize::from(values[c] < 0.0) << c);
-                for triangle in &cases[pattern] {
-                    let face = triangle.map(|edge| {
-                        let (low, high) = edge_corners(edge);
-                        let voxel = [0, 1, 2].map(|axis| {
-                            coord[axis] * BLOCK_SIDE + [x, y, z][axis] + (low >> axis & 1) as i32
-                        });
-                        let axis = edge / 4;
-                        *index_of.entry((voxel, axis)).or_insert_with(|| {
-                            let (a, b) =
-                                (values[low as usize] as f64, values[high as usize] as f64);
-                            let mut point = voxel.map(f64::from);
-                            point[axis as usize] += a / (a - b);
-                            let scaled = point.map(|i| i * volume.voxel_size_m() as f64);
-                            part.vertices.push(((voxel, axis), Point3::from(scaled)));
-                            part.vertices.len() as u32 - 1
-                        })
-                    });
-                    part.faces.push(face);
+/// Blocks whose faces one task writes.
+const TASK_BLOCKS: usize = 256;
+
+struct Faces<'a> {
+    grid: &'a Grid<'a>,
+    blocks: std::ops::Range<usize>,
+}
+
+impl WithSimd for Faces<'_> {
+    type Output = Vec<[u32; 3]>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Vec<[u32; 3]> {
+        let mut faces = Vec::new();
+        for block in self.blocks.clone() {
+            for (z, &word) in self.grid.cubes[block].crossed.iter().enumerate() {
+                for bit in bits(word) {
+                    self.cube(block, [bit & 7, bit >> 3, z], &mut faces);
                 }
             }
         }
+        faces
     }
-    part
 }
 
-/// The 9³ voxels of a block and its neighbours' first layers; NaN where not seen often enough.
-struct Halo {
-    values: Vec<f32>,
-    /// Whether any voxel lies inside and any outside.
-    crossed: bool,
-}
-
-const HALO: i32 = BLOCK_SIDE + 1;
-
-impl Halo {
-    fn gather(volume: &TsdfVolume, coord: [i32; 3], min_weight: f32) -> Halo {
-        let mut values = Vec::with_capacity((HALO * HALO * HALO) as usize);
-        let (mut any_inside, mut any_outside) = (false, false);
-        for z in 0..HALO {
-            for y in 0..HALO {
-                for x in 0..HALO {
-                    let voxel = [0, 1, 2].map(|axis| coord[axis] * BLOCK_SIDE + [x, y, z][axis]);
-                    let value = match volume.voxel(voxel) {
-                        Some((distance, weight)) if weight >= min_weight => distance,
-                        _ => f32::NAN,
-                    };
-                    any_inside |= value < 0.0;
-                    any_outside |= value >= 0.0;
-                    values.push(value);
-                }
-            }
-        }
-        Halo {
-            values,
-            crossed: any_inside && any_outside,
-        }
-    }
-
-    /// The eight corners of a cube; `None` if one was not seen or the surface is nowhere near.
-    fn cube(&self, [x, y, z]: [i32; 3]) -> Option<[f32; 8]> {
-        if !self.crossed {
-            return None;
-        }
-        let mut corners = [0.0; 8];
-        for (c, corner) in corners.iter_mut().enumerate() {
-            let c = c as i32;
-            let (x, y, z) = (x + (c & 1), y + (c >> 1 & 1), z + (c >> 2));
-            *corner = self.values[(x + HALO * (y + HALO * z)) as usize];
-            if corner.is_nan() {
-                return None;
-            }
-        }
-        Some(corners)
+impl Faces<'_> {
+    #[inline(always)]
+    fn cube(&self, block: usize, low: [usize; 3], faces: &mut Vec<[u32; 3]>) {
+        let grid = self.grid;
+        let up = &grid.neighbours[block].up;
+        // Block, slab and bit of each corner.
+        let corners: [(usize, usize, usize); 8] = std::array::from_fn(|corner| {
+            let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + (corner >> axis & 1));
+            let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
+            (up[side] as usize, z & 7, x & 7 | (y & 7) << 3)
+        });
+        let inside = |&(block, slab, bit): &(usize, usize, usize)| {
+            (grid.voxels[block].inside[slab] >> bit & 1) as usize
+        };
+        let pattern = (0..8).fold(0, |pattern, corner| {
+            pattern | inside(&corners[corner]) << corner
+        });
+        let vertex = |edge: u8| {
+            let (block, slab, bit) = corners[grid.edges[edge as usize].0 as usize];
+            grid.vertices[block].vertex(edge as usize / 4, slab, bit)
+        };
+        faces.extend(grid.cases[pattern].iter().map(|face| face.map(vertex)));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::volume::tests::volume_of;
+    use crate::fusion::{arch_levels, volume::tests::volume_of};
     use crate::geometry::EdgeAdjacency;
 
     #[test]
     fn a_sphere_is_closed_oriented_and_in_its_place() {
         let volume = volume_of(0.01, |x, y, z| (x * x + y * y + z * z).sqrt() - 0.0301);
-        let mesh = marching_cubes(&volume, 1.0);
+        let mesh = marching_cubes(Arch::new(), &volume, 1.0);
         let edges = EdgeAdjacency::new(&mesh);
         assert!(edges.n_faces.iter().all(|&n| n == 2), "closed");
         let euler = mesh.vertices.len() as i64 - edges.edges.len() as i64 + mesh.faces.len() as i64;
@@ -264,7 +254,7 @@ mod tests {
                 0.008 * (hash(x, y, z).abs() - 0.5)
             }
         });
-        let mesh = marching_cubes(&volume, 1.0);
+        let mesh = marching_cubes(Arch::new(), &volume, 1.0);
         assert!(mesh.faces.len() > 10_000);
         assert!(
             EdgeAdjacency::new(&mesh)
@@ -272,5 +262,32 @@ mod tests {
                 .iter()
                 .all(|&n| n % 2 == 0)
         );
+    }
+
+    #[test]
+    fn vertices_are_shared_and_all_used_whatever_the_instruction_set() {
+        let volume = volume_of(0.01, |x, y, z| (x * x + y * y).sqrt() - 0.02013 + 0.31 * z);
+        let mesh = marching_cubes(Arch::Scalar, &volume, 1.0);
+        let mut used = vec![false; mesh.vertices.len()];
+        for &vertex in mesh.faces.iter().flatten() {
+            used[vertex as usize] = true;
+        }
+        assert!(used.iter().all(|&used| used));
+        let mut places: Vec<[u64; 3]> = mesh
+            .vertices
+            .iter()
+            .map(|p| [p.x, p.y, p.z].map(f64::to_bits))
+            .collect();
+        places.sort_unstable();
+        // Vertices may only meet where the surface passes through a voxel.
+        let n_meeting = places.windows(2).filter(|pair| pair[0] == pair[1]).count();
+        assert!(
+            n_meeting * 100 < places.len(),
+            "{n_meeting} of {}",
+            places.len()
+        );
+        for arch in arch_levels() {
+            assert_eq!(marching_cubes(arch, &volume, 1.0), mesh);
+        }
     }
 }

@@ -6,29 +6,62 @@
 //!
 //! Not handled here: relocalising after a jump, closing loops, moving objects.
 
-mod icp;
-mod integrate;
-mod marching_cubes;
 mod noise;
 mod params;
+mod steps;
+
+mod lens;
 mod preprocess;
-mod raycast;
-#[cfg(test)]
-mod tests;
+mod pyramid;
+
+mod icp;
+mod normal_equations;
+mod sdf_alignment;
+
+mod band;
+mod integrate;
+mod observe;
 mod volume;
 
-pub use icp::{Fit, IcpParams};
+mod raycast;
+
+mod block_masks;
+mod cube_cases;
+mod marching_cubes;
+#[cfg(test)]
+mod tests;
+
+pub use icp::IcpParams;
 pub use noise::DepthNoise;
 pub use params::FusionParams;
 pub use raycast::ModelMap;
+pub use steps::{FusionStep, OnStep};
 
 use crate::geometry::{CameraModel, Pose, TriMesh, increment, motion_between};
+use band::Band;
 use depth_camera::Image;
+use integrate::View;
+use lens::Lens;
 use nalgebra::Vector6;
-use preprocess::{FramePyramid, PyramidRays};
-use raycast::DepthRange;
+use observe::Observations;
+use preprocess::DepthRange;
+use pulp::Arch;
+use pyramid::{FramePyramid, N_REDUCED};
 use serde::Serialize;
 use volume::TsdfVolume;
+
+/// How well a frame fits the model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Fit {
+    /// Share of the frame's points that found their place on the model.
+    pub inlier_share: f64,
+    /// Weighted root mean square distance of the inliers to the model, metres.
+    pub rmse_m: f64,
+    /// Smallest over largest eigenvalue of the normal equations: near zero the geometry lets the camera slide.
+    pub conditioning: f64,
+    /// Share of the frame's points that lie behind a surface of the model: the camera would look through it.
+    pub see_through_share: f64,
+}
 
 /// Why the camera is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -90,8 +123,13 @@ const MAX_PREDICTION_SECS: f64 = 0.12;
 pub struct Fusion {
     params: FusionParams,
     noise: DepthNoise,
-    camera: CameraModel,
-    rays: PyramidRays,
+    /// Instruction set of the kernels; results do not depend on it.
+    arch: Arch,
+    lens: Lens,
+    /// The frame in hand.
+    frame: FramePyramid,
+    observations: Observations,
+    band: Band,
     volume: TsdfVolume,
     model: Option<ModelMap>,
     track: Track,
@@ -111,11 +149,19 @@ impl Fusion {
     /// An empty model for one camera; `params` must have been validated.
     pub fn new(camera: CameraModel, noise: DepthNoise, params: FusionParams) -> Self {
         let truncation_m = params.voxel_size_m * params.truncation_voxels;
+        let frame = FramePyramid::new(&camera);
         Fusion {
             noise,
-            camera,
-            rays: PyramidRays::new(camera),
-            volume: TsdfVolume::new(params.voxel_size_m as f32, truncation_m as f32),
+            arch: Arch::new(),
+            lens: Lens::new(&camera),
+            observations: Observations::new(&frame),
+            frame,
+            band: Band::default(),
+            volume: TsdfVolume::new(
+                params.voxel_size_m as f32,
+                truncation_m as f32,
+                params.memory_budget_mb << 20,
+            ),
             model: None,
             track: Track {
                 world_from_camera: Pose::identity(),
@@ -129,23 +175,33 @@ impl Fusion {
 
     /// Tracks and fuses one depth image (metres, 0 is none) taken at `time_secs` of the device's clock.
     pub fn fuse(&mut self, depth: &Image<f32>, time_secs: f64) -> TrackingOutcome {
-        let Some((depth, pyramid)) = self.prepare(depth) else {
+        self.fuse_observed(depth, time_secs, &mut |_| {})
+    }
+
+    /// Like [`Self::fuse`], telling of each step when it ends.
+    pub fn fuse_observed(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        on_step: &mut OnStep,
+    ) -> TrackingOutcome {
+        if !self.prepare(depth) {
             self.track.velocity = Vector6::zeros();
             return TrackingOutcome::NoDepth;
+        }
+        on_step(FusionStep::Preprocess);
+        let located = match &self.model {
+            Some(model) => self
+                .locate(model, time_secs, on_step)
+                .map(|(pose, fit)| (pose, Some(fit))),
+            None => Ok((Pose::identity(), None)),
         };
-        let Some(model) = &self.model else {
-            self.accept(&depth, &pyramid, Pose::identity(), time_secs);
-            return TrackingOutcome::Tracked {
-                world_from_camera: Pose::identity(),
-                fit: None,
-            };
-        };
-        match self.locate(&pyramid, model, time_secs) {
+        match located {
             Ok((world_from_camera, fit)) => {
-                self.accept(&depth, &pyramid, world_from_camera, time_secs);
+                self.accept(world_from_camera, time_secs, on_step);
                 TrackingOutcome::Tracked {
                     world_from_camera,
-                    fit: Some(fit),
+                    fit,
                 }
             }
             Err(reason) => {
@@ -162,10 +218,10 @@ impl Fusion {
         time_secs: f64,
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
-        let Some((depth, pyramid)) = self.prepare(depth) else {
+        if !self.prepare(depth) {
             return TrackingOutcome::NoDepth;
-        };
-        self.accept(&depth, &pyramid, *world_from_camera, time_secs);
+        }
+        self.accept(*world_from_camera, time_secs, &mut |_| {});
         TrackingOutcome::Tracked {
             world_from_camera: *world_from_camera,
             fit: None,
@@ -187,63 +243,89 @@ impl Fusion {
         self.volume.memory_bytes()
     }
 
-    /// The model's surface, world frame.
-    pub fn mesh(&self) -> TriMesh {
-        marching_cubes::marching_cubes(&self.volume, self.params.min_surface_weight as f32)
+    /// What was seen and found no place in the volume, as a sentence; `None` as long as everything did.
+    pub fn refusal(&self) -> Option<String> {
+        self.band.refused().sentence(self.params.memory_budget_mb)
     }
 
-    fn prepare(&self, depth: &Image<f32>) -> Option<(Image<f32>, FramePyramid)> {
-        let (near, far) = (
-            self.params.depth_min_m as f32,
-            self.params.depth_max_m as f32,
-        );
-        let depth = preprocess::clip_depth(depth, near, far);
-        let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
+    /// The model's surface, world frame.
+    pub fn mesh(&self) -> TriMesh {
+        let min_weight = self.params.min_surface_weight as f32;
+        marching_cubes::marching_cubes(self.arch, &self.volume, min_weight)
+    }
+
+    /// Takes a frame in hand; `false` if it holds (almost) no depth.
+    fn prepare(&mut self, depth: &Image<f32>) -> bool {
+        let n_valid = preprocess::clip_depth(self.arch, depth, self.range(), &mut self.frame);
         if (n_valid as f64) < MIN_VALID_SHARE * depth.data().len() as f64 {
-            return None;
+            return false;
         }
-        let pyramid = preprocess::build_pyramid(&depth, &self.rays, &self.noise);
-        Some((depth, pyramid))
+        preprocess::build_levels(self.arch, &self.noise, &mut self.frame);
+        true
+    }
+
+    fn range(&self) -> DepthRange {
+        DepthRange {
+            near_m: self.params.depth_min_m as f32,
+            far_m: self.params.depth_max_m as f32,
+        }
     }
 
     fn locate(
         &self,
-        pyramid: &FramePyramid,
         model: &ModelMap,
         time_secs: f64,
+        on_step: &mut OnStep,
     ) -> Result<(Pose, Fit), LossReason> {
         let elapsed = time_secs - self.track.time_secs;
         let predicted = increment(&(self.track.velocity * elapsed.clamp(0.0, MAX_PREDICTION_SECS)));
-        let target = icp::Model {
-            map: model,
-            map_camera: self.rays.reduced(MODEL_LEVEL).camera(),
-            world_from_camera: &self.track.world_from_camera,
-            volume: &self.volume,
-        };
         let guess = self.track.world_from_camera * predicted;
-        let (pose, fit) = icp::align(
-            &pyramid.reduced,
-            &target,
-            &guess,
-            &self.noise,
-            &self.params.icp,
-        )
-        .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
-        self.judge(&pose, &fit, pyramid, elapsed)?;
+        let (pose, fit) = self
+            .align(model, &guess, on_step)
+            .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
+        self.judge(&pose, &fit, elapsed)?;
         Ok((pose, fit))
     }
 
-    fn judge(
-        &self,
-        pose: &Pose,
-        fit: &Fit,
-        pyramid: &FramePyramid,
-        elapsed: f64,
-    ) -> Result<(), LossReason> {
+    /// Aligns the frame in hand to the raycast model, then to the signed distances; `None` where nothing matches at all.
+    fn align(&self, model: &ModelMap, guess: &Pose, on_step: &mut OnStep) -> Option<(Pose, Fit)> {
+        let (frame, level) = (&self.frame, &self.frame.reduced[MODEL_LEVEL]);
+        let model = icp::CastModel {
+            map: model,
+            lens: &level.lens,
+            world_from_camera: &self.track.world_from_camera,
+        };
+        let (arch, noise, icp) = (self.arch, &self.noise, &self.params.icp);
+        let pose = icp::align(arch, frame, &model, guess, noise, icp)?;
+        on_step(FusionStep::Icp);
+        let (pose, equations) = sdf_alignment::align(
+            arch,
+            &frame.reduced,
+            &self.volume,
+            &pose,
+            noise,
+            icp.sdf_iterations,
+        )?;
+        let fit = Fit {
+            inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
+            rmse_m: equations.rmse_m(),
+            conditioning: equations.conditioning(0.5),
+            see_through_share: icp::see_through_share(
+                level,
+                &model,
+                &pose,
+                self.volume.truncation_m(),
+            ),
+        };
+        on_step(FusionStep::SdfAlignment);
+        Some((pose, fit))
+    }
+
+    fn judge(&self, pose: &Pose, fit: &Fit, elapsed: f64) -> Result<(), LossReason> {
         let motion = motion_between(&self.track.world_from_camera, pose);
         // A frame later than a tenth of a second ago does not entitle to a longer jump.
         let elapsed = elapsed.clamp(1.0 / 60.0, 0.1);
-        let sigma_m = self.noise.sigma_m(median_depth(pyramid)) as f64;
+        let sigma_m = self.noise.sigma_m(median_depth(&self.frame)) as f64;
         if fit.inlier_share < self.params.min_inlier_share {
             Err(LossReason::FewInliers {
                 inlier_share: fit.inlier_share,
@@ -270,39 +352,24 @@ impl Fusion {
         }
     }
 
-    fn accept(
-        &mut self,
-        depth: &Image<f32>,
-        pyramid: &FramePyramid,
-        world_from_camera: Pose,
-        time_secs: f64,
-    ) {
-        let observations = integrate::observe(depth, &pyramid.full, &self.noise);
-        let band = integrate::blocks_in_band(
-            &self.volume,
-            &observations,
-            self.rays.full(),
-            &world_from_camera,
-        );
-        integrate::integrate(
-            &mut self.volume,
-            &band,
-            &observations,
-            &self.camera,
-            &world_from_camera,
-        );
-        let range = DepthRange {
-            near_m: self.params.depth_min_m as f32,
-            far_m: self.params.depth_max_m as f32,
-        };
-        let rays = self.rays.reduced(MODEL_LEVEL);
-        self.model = Some(raycast::raycast(
-            &self.volume,
-            rays,
-            depth,
-            &world_from_camera,
-            range,
-        ));
+    /// Fuses the frame in hand at a pose, and looks at the model from there.
+    fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
+        self.observations.fill(self.arch, &self.frame, &self.noise);
+        self.band
+            .find(&mut self.volume, &self.frame, &world_from_camera);
+        on_step(FusionStep::Allocate);
+        let view = View::new(&self.volume, self.lens, &world_from_camera);
+        let (touched, pixels) = (self.band.touched(), self.observations.pixels());
+        integrate::integrate(self.arch, &mut self.volume, touched, pixels, &view);
+        on_step(FusionStep::Integrate);
+        let range = self.range();
+        let level = &self.frame.reduced[MODEL_LEVEL];
+        let (width, height) = (level.rays.width, level.rays.height);
+        let map = self
+            .model
+            .get_or_insert_with(|| ModelMap::empty(width, height));
+        raycast::raycast(&self.volume, level, &world_from_camera, range, map);
+        on_step(FusionStep::Raycast);
         self.track = self
             .track
             .moved_to(world_from_camera, time_secs, self.n_fused > 0);
@@ -329,18 +396,24 @@ impl Track {
 }
 
 /// Median depth of the coarsest level, metres.
-fn median_depth(pyramid: &FramePyramid) -> f32 {
-    let coarsest = &pyramid.reduced[preprocess::N_REDUCED - 1];
-    let mut depths: Vec<f32> = coarsest
-        .points
-        .data()
-        .iter()
-        .map(|p| p.z)
-        .filter(|z| *z > 0.0)
-        .collect();
+fn median_depth(frame: &FramePyramid) -> f32 {
+    let coarsest = &frame.reduced[N_REDUCED - 1].depth;
+    let mut depths: Vec<f32> = coarsest.iter().copied().filter(|z| *z > 0.0).collect();
     if depths.is_empty() {
         return 1.0;
     }
     let middle = depths.len() / 2;
     *depths.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+/// The instruction sets that this processor has.
+#[cfg(test)]
+pub(crate) fn arch_levels() -> Vec<Arch> {
+    let mut levels = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        levels.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        levels.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    levels
 }

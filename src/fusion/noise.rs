@@ -5,9 +5,9 @@ use depth_camera::Sensor;
 /// Standard deviation of one depth pixel along the optical axis, quadratic in distance: `at_m + growth·(z − z0)²`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthNoise {
-    floor_m: f64,
-    growth_per_m: f64,
-    reference_m: f64,
+    floor_m: f32,
+    growth_per_m: f32,
+    reference_m: f32,
 }
 
 impl DepthNoise {
@@ -31,8 +31,9 @@ impl DepthNoise {
     }
 
     /// Standard deviation at a depth, metres.
+    #[inline(always)]
     pub fn sigma_m(&self, depth_m: f32) -> f32 {
-        let beyond = depth_m as f64 - self.reference_m;
-        (self.floor_m + self.growth_per_m * beyond * beyond) as f32
+        let beyond = depth_m - self.reference_m;
+        self.floor_m + self.growth_per_m * beyond * beyond
     }
 }

@@ -17,6 +17,8 @@ pub struct FusionParams {
     pub depth_max_m: f64,
     /// Voxels seen with less than this weight (1 is one frontal view at 0.6 m) do not make a surface.
     pub min_surface_weight: f64,
+    /// Memory that the volume may take, MiB; parts of the scene beyond it are not fused, and told of.
+    pub memory_budget_mb: usize,
     /// Alignment.
     pub icp: IcpParams,
     /// Below this share of points on the model the camera is lost: a 15 % gate let garbage in, 35 % never fired falsely.
@@ -42,6 +44,7 @@ impl Default for FusionParams {
             depth_min_m: 0.35,
             depth_max_m: 2.0,
             min_surface_weight: 2.0,
+            memory_budget_mb: 4096,
             icp: IcpParams::default(),
             min_inlier_share: 0.35,
             max_see_through_share: 0.15,
@@ -76,6 +79,12 @@ impl FusionParams {
             12.0,
         )?;
         within("min_surface_weight", self.min_surface_weight, 0.0, 200.0)?;
+        within(
+            "memory_budget_mb",
+            self.memory_budget_mb as f64,
+            64.0,
+            1_048_576.0,
+        )?;
         within("min_inlier_share", self.min_inlier_share, 0.0, 1.0)?;
         within(
             "max_see_through_share",
@@ -103,6 +112,8 @@ impl FusionParams {
             0.01,
             1.57,
         )?;
-        within("icp.sdf_iterations", icp.sdf_iterations as f64, 1.0, 100.0)
+        let [coarse, fine] = icp.sdf_iterations.map(|n| n as f64);
+        within("icp.sdf_iterations", coarse, 0.0, 100.0)?;
+        within("icp.sdf_iterations", fine, 1.0, 100.0)
     }
 }

@@ -1,221 +1,360 @@
-//! From a depth image to filtered vertex and normal maps on a pyramid.
+//! From a depth image to smoothed levels with normals.
 
 use super::noise::DepthNoise;
-use crate::geometry::{CameraModel, RayGrid};
+use super::pyramid::{FramePyramid, Level};
 use depth_camera::Image;
-use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Points and unit normals of one pyramid level in the camera frame; a point with z = 0 is invalid, a zero normal too.
-#[derive(Clone, Debug)]
-pub struct VertexMap {
-    /// Points, metres.
-    pub points: Image<Vector3<f32>>,
-    /// Normals towards the camera.
-    pub normals: Image<Vector3<f32>>,
+/// Nearest and farthest depth that counts, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthRange {
+    /// Nearer depth is ignored.
+    pub near_m: f32,
+    /// Farther depth is ignored.
+    pub far_m: f32,
 }
 
-/// The levels of one frame, finest first.
-#[derive(Clone, Debug)]
-pub struct FramePyramid {
-    /// Filtered vertex and normal map of the whole image.
-    pub full: VertexMap,
-    /// Maps of the image reduced by 2, 4 and 8.
-    pub reduced: [VertexMap; N_REDUCED],
+/// Rows that one task works on.
+const TASK_ROWS: usize = 16;
+
+/// Sets depths outside the range to 0, the mark of no measurement; NaN and infinities too. Returns how many are left.
+pub fn clip_depth(
+    arch: Arch,
+    image: &Image<f32>,
+    range: DepthRange,
+    frame: &mut FramePyramid,
+) -> usize {
+    let size = TASK_ROWS * image.width();
+    frame
+        .depth
+        .par_chunks_mut(size)
+        .zip(image.data().par_chunks(size))
+        .zip(frame.rays.x.par_chunks(size))
+        .map(|((out, depth), rays)| {
+            arch.dispatch(Clip {
+                out,
+                depth,
+                rays,
+                range,
+            })
+        })
+        .sum()
 }
 
-/// How many reduced levels there are.
-pub const N_REDUCED: usize = 3;
-
-/// The rays of the whole image and of its reduced levels.
-#[derive(Clone, Debug)]
-pub struct PyramidRays {
-    full: RayGrid,
-    reduced: [RayGrid; N_REDUCED],
-}
-
-impl PyramidRays {
-    /// Unprojects all pixels of all levels once.
-    pub fn new(camera: CameraModel) -> Self {
-        PyramidRays {
-            full: RayGrid::new(camera),
-            reduced: std::array::from_fn(|level| RayGrid::new(camera.reduced(2 << level))),
-        }
-    }
-
-    /// Rays of the whole image.
-    pub fn full(&self) -> &RayGrid {
-        &self.full
-    }
-
-    /// Rays of the image reduced by `2 << level`.
-    pub fn reduced(&self, level: usize) -> &RayGrid {
-        &self.reduced[level]
-    }
-}
-
-/// Sets depths outside the working range to 0, the mark of no measurement; NaN and infinities too.
-pub fn clip_depth(depth: &Image<f32>, min_m: f32, max_m: f32) -> Image<f32> {
-    depth.map(|&z| if z >= min_m && z <= max_m { z } else { 0.0 })
-}
-
-/// Builds the filtered pyramid of a clipped depth image.
-pub fn build_pyramid(depth: &Image<f32>, rays: &PyramidRays, noise: &DepthNoise) -> FramePyramid {
-    let smooth = bilateral_filter(depth, noise);
-    let pitch = |level: usize| 1.0 / rays.reduced[level].camera().intrinsics().fx as f32;
-    let half = halve(&smooth, noise, pitch(0));
-    let quarter = halve(&half, noise, pitch(1));
-    let eighth = halve(&quarter, noise, pitch(2));
-    let map = |depth: &Image<f32>, rays: &RayGrid| vertex_map(depth, rays, noise);
-    FramePyramid {
-        full: map(&smooth, &rays.full),
-        reduced: [
-            map(&half, &rays.reduced[0]),
-            map(&quarter, &rays.reduced[1]),
-            map(&eighth, &rays.reduced[2]),
-        ],
+/// Fills the reduced levels from the clipped depth.
+pub fn build_levels(arch: Arch, noise: &DepthNoise, frame: &mut FramePyramid) {
+    let width = frame.rays.width;
+    let [half, quarter, eighth] = &mut frame.reduced;
+    let half_width = half.rays.width;
+    halve(
+        arch,
+        noise,
+        &frame.depth,
+        width,
+        half.pitch,
+        half_width,
+        &mut frame.rough_half,
+    );
+    smooth(arch, noise, &frame.rough_half, half_width, &mut half.depth);
+    let quarter_width = quarter.rays.width;
+    halve(
+        arch,
+        noise,
+        &half.depth,
+        half_width,
+        quarter.pitch,
+        quarter_width,
+        &mut quarter.depth,
+    );
+    halve(
+        arch,
+        noise,
+        &quarter.depth,
+        quarter_width,
+        eighth.pitch,
+        eighth.rays.width,
+        &mut eighth.depth,
+    );
+    for level in &mut frame.reduced {
+        find_normals(arch, noise, level);
     }
 }
 
 /// Range differences beyond so many sigmas belong to another surface.
-const SAME_SURFACE_SIGMAS: f32 = 4.0;
+pub const SAME_SURFACE_SIGMAS: f32 = 4.0;
 
-/// Edge-preserving smoothing over 5×5 pixels (Tomasi and Manduchi 1998) with the range weight `(1 − (Δz/4σ)²)²`, which is
-/// zero beyond four sigmas of the depth noise.
-fn bilateral_filter(depth: &Image<f32>, noise: &DepthNoise) -> Image<f32> {
-    const RADIUS: isize = 2;
-    /// Gauss weights of pixel distances 0, 1, 2 for a standard deviation of 1.5 pixels.
-    const SPATIAL: [f32; 3] = [1.0, 0.800_74, 0.411_11];
-    let (width, height) = (depth.width() as isize, depth.height() as isize);
-    let mut out = Image::filled(depth.width(), depth.height(), 0.0f32);
-    out.data_mut()
-        .par_chunks_mut(depth.width())
-        .enumerate()
-        .for_each(|(v, row)| {
-            for (u, out) in row.iter_mut().enumerate() {
-                let centre = *depth.at(u, v);
-                if centre <= 0.0 {
-                    continue;
-                }
-                let inv_reach = 1.0 / (SAME_SURFACE_SIGMAS * noise.sigma_m(centre));
-                let (mut sum, mut weights) = (0.0, 0.0);
-                for dv in -RADIUS..=RADIUS {
-                    let y = v as isize + dv;
-                    if y < 0 || y >= height {
-                        continue;
-                    }
-                    let line = depth.row(y as usize);
-                    for du in -RADIUS..=RADIUS {
-                        let x = u as isize + du;
-                        if x < 0 || x >= width {
-                            continue;
-                        }
-                        let z = line[x as usize];
-                        let t = (z - centre) * inv_reach;
-                        let range = (1.0 - t * t).max(0.0);
-                        let w =
-                            SPATIAL[du.unsigned_abs()] * SPATIAL[dv.unsigned_abs()] * range * range;
-                        sum += w * z;
-                        weights += w;
-                    }
-                }
-                *out = sum / weights;
-            }
-        });
-    out
+struct Clip<'a> {
+    out: &'a mut [f32],
+    depth: &'a [f32],
+    rays: &'a [f32],
+    range: DepthRange,
 }
 
-/// Halves an image: each pixel is the mean of those of its four that lie on the surface of the nearest one. `pitch` is the
-/// distance between the rays of the halved image's pixels at unit depth.
-fn halve(depth: &Image<f32>, noise: &DepthNoise, pitch: f32) -> Image<f32> {
-    let (width, height) = (depth.width() / 2, depth.height() / 2);
-    let mut out = Image::filled(width, height, 0.0f32);
-    for v in 0..height {
-        for u in 0..width {
-            let four =
-                [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(du, dv)| *depth.at(2 * u + du, 2 * v + dv));
-            let nearest = four
-                .into_iter()
-                .filter(|&z| z > 0.0)
-                .fold(f32::INFINITY, f32::min);
-            if nearest.is_infinite() {
-                continue;
+impl WithSimd for Clip<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        let DepthRange { near_m, far_m } = self.range;
+        let mut n_valid = 0u32;
+        for ((out, &z), &x) in self.out.iter_mut().zip(self.depth).zip(self.rays) {
+            let valid = (z >= near_m) & (z <= far_m) & !x.is_nan();
+            *out = if valid { z } else { 0.0 };
+            n_valid += u32::from(valid);
+        }
+        n_valid as usize
+    }
+}
+
+/// Halves an image: each pixel is the mean of those of its four that lie on the surface of the nearest one, if they are
+/// three at least. `pitch` is the distance between the rays of the halved image at unit depth.
+fn halve(
+    arch: Arch,
+    noise: &DepthNoise,
+    depth: &[f32],
+    width: usize,
+    pitch: f32,
+    half_width: usize,
+    out: &mut [f32],
+) {
+    let task = 2 * TASK_ROWS * width;
+    out.par_chunks_mut(TASK_ROWS * half_width)
+        .zip(depth.par_chunks(task))
+        .for_each(|(out, depth)| {
+            for (out, rows) in out
+                .chunks_exact_mut(half_width)
+                .zip(depth.chunks_exact(2 * width))
+            {
+                let (top, bottom) = rows.split_at(width);
+                arch.dispatch(HalveRow {
+                    out,
+                    top,
+                    bottom,
+                    pitch,
+                    noise,
+                });
+            }
+        });
+}
+
+struct HalveRow<'a> {
+    out: &'a mut [f32],
+    top: &'a [f32],
+    bottom: &'a [f32],
+    pitch: f32,
+    noise: &'a DepthNoise,
+}
+
+impl WithSimd for HalveRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let pairs = self
+            .top
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .zip(self.bottom.as_chunks::<2>().0);
+        for (out, (top, bottom)) in self.out.iter_mut().zip(pairs) {
+            let four = [top[0], top[1], bottom[0], bottom[1]];
+            let mut nearest = f32::MAX;
+            for z in four {
+                nearest = if (z > 0.0) & (z < nearest) {
+                    z
+                } else {
+                    nearest
+                };
             }
             // A surface met at 60° changes by 1.7 pitches from pixel to pixel.
-            let reach = SAME_SURFACE_SIGMAS * noise.sigma_m(nearest) + 1.7 * pitch * nearest;
-            let (sum, n) = four
-                .into_iter()
-                .filter(|&z| z > 0.0 && z - nearest <= reach)
-                .fold((0.0, 0), |(sum, n), z| (sum + z, n + 1));
-            // A lone pixel of four stands on a depth edge, where the mean would be off by half a pixel.
-            if n >= 3 {
-                out.data_mut()[v * width + u] = sum / n as f32;
+            let reach =
+                SAME_SURFACE_SIGMAS * self.noise.sigma_m(nearest) + 1.7 * self.pitch * nearest;
+            let (mut sum, mut n) = (0.0f32, 0.0f32);
+            for z in four {
+                let same = (z > 0.0) & (z - nearest <= reach);
+                sum += if same { z } else { 0.0 };
+                n += if same { 1.0 } else { 0.0 };
             }
+            // A lone pixel of four stands on a depth edge, where the mean would be off by half a pixel.
+            *out = if n >= 3.0 { sum / n } else { 0.0 };
         }
     }
-    out
 }
 
-/// Unprojects a depth image and takes normals from central differences of the points.
-fn vertex_map(depth: &Image<f32>, rays: &RayGrid, noise: &DepthNoise) -> VertexMap {
-    let (width, height) = (depth.width(), depth.height());
-    let points: Vec<Vector3<f32>> = depth
-        .data()
-        .par_iter()
-        .zip(rays.rays().data())
-        .map(|(&z, &[x, y])| {
-            if z > 0.0 && !x.is_nan() {
-                Vector3::new(x * z, y * z, z)
-            } else {
-                Vector3::zeros()
+/// Edge-preserving smoothing over 3×3 pixels (Tomasi and Manduchi 1998) with the range weight `(1 − (Δz/4σ)²)²`, which is
+/// zero beyond four sigmas of the depth noise. The image's border is left as it is.
+fn smooth(arch: Arch, noise: &DepthNoise, depth: &[f32], width: usize, out: &mut [f32]) {
+    let height = depth.len() / width;
+    out.par_chunks_mut(width).enumerate().for_each(|(v, out)| {
+        out.copy_from_slice(&depth[v * width..(v + 1) * width]);
+        if v > 0 && v + 1 < height {
+            let rows = rows_round(depth, width, v);
+            arch.dispatch(SmoothRow { out, rows, noise });
+        }
+    });
+}
+
+struct SmoothRow<'a> {
+    out: &'a mut [f32],
+    rows: [&'a [f32]; 3],
+    noise: &'a DepthNoise,
+}
+
+/// Gauss weights of the centre, its neighbours and the corners for a standard deviation of 0.75 pixels.
+const SPATIAL: [[f32; 3]; 3] = [
+    [0.169, 0.411, 0.169],
+    [0.411, 1.0, 0.411],
+    [0.169, 0.411, 0.169],
+];
+
+impl WithSimd for SmoothRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Some(n) = self.out.len().checked_sub(2) else {
+            return;
+        };
+        let out = &mut self.out[1..n + 1];
+        let taps = self
+            .rows
+            .map(|row| [&row[..n], &row[1..n + 1], &row[2..n + 2]]);
+        for u in 0..n {
+            let centre = taps[1][1][u];
+            let inv_reach = 1.0 / (SAME_SURFACE_SIGMAS * self.noise.sigma_m(centre));
+            let (mut sum, mut weights) = (0.0f32, 0.0f32);
+            for (taps, spatial) in taps.iter().zip(&SPATIAL) {
+                for (tap, spatial) in taps.iter().zip(spatial) {
+                    let t = (tap[u] - centre) * inv_reach;
+                    let range = 1.0 - t * t;
+                    let range = if range > 0.0 { range } else { 0.0 };
+                    let weight = spatial * range * range;
+                    sum += weight * (tap[u] - centre);
+                    weights += weight;
+                }
             }
-        })
-        .collect();
-    let points = Image::from_vec(width, height, points);
-    let mut normals = Image::filled(width, height, Vector3::zeros());
-    normals
-        .data_mut()
-        .par_chunks_mut(width)
+            out[u] = if centre > 0.0 {
+                centre + sum / weights
+            } else {
+                0.0
+            };
+        }
+    }
+}
+
+/// Takes normals from central differences of the points; none where a neighbour is missing or lies on another surface.
+fn find_normals(arch: Arch, noise: &DepthNoise, level: &mut Level) {
+    let Level {
+        rays,
+        depth,
+        normals: [x, y, z],
+        ..
+    } = level;
+    let (width, height) = (rays.width, rays.height);
+    x.par_chunks_mut(width)
+        .zip(y.par_chunks_mut(width))
+        .zip(z.par_chunks_mut(width))
         .enumerate()
         .filter(|(v, _)| *v > 0 && v + 1 < height)
-        .for_each(|(v, row)| {
-            for (u, normal) in row.iter_mut().enumerate().take(width - 1).skip(1) {
-                *normal = normal_at(&points, u, v, noise).unwrap_or_default();
-            }
+        .for_each(|(v, ((x, y), z))| {
+            arch.dispatch(NormalsRow {
+                out: [x, y, z],
+                depth: rows_round(depth, width, v),
+                ray_x: rows_round(&rays.x, width, v),
+                ray_y: rows_round(&rays.y, width, v),
+                noise,
+            });
         });
-    VertexMap { points, normals }
 }
 
-/// Normal of a pixel towards the camera, `None` where a neighbour is missing or lies on another surface.
-fn normal_at(
-    points: &Image<Vector3<f32>>,
-    u: usize,
-    v: usize,
-    noise: &DepthNoise,
-) -> Option<Vector3<f32>> {
-    let centre = points.at(u, v);
-    if centre.z <= 0.0 {
-        return None;
+/// Row `v` of a plane between its neighbours.
+fn rows_round(plane: &[f32], width: usize, v: usize) -> [&[f32]; 3] {
+    [v - 1, v, v + 1].map(|v| &plane[v * width..(v + 1) * width])
+}
+
+struct NormalsRow<'a> {
+    out: [&'a mut [f32]; 3],
+    /// Three rows round the one whose normals are found.
+    depth: [&'a [f32]; 3],
+    ray_x: [&'a [f32]; 3],
+    ray_y: [&'a [f32]; 3],
+    noise: &'a DepthNoise,
+}
+
+impl WithSimd for NormalsRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let n = self.depth[1].len() - 2;
+        // Points of the neighbours in both directions, and of the pixel itself.
+        let [up, centre, down] = [0, 1, 2].map(|v| Points::of(&self, v, 1, n));
+        let [left, right] = [0, 2].map(|u| Points::of(&self, 1, u, n));
+        let [out_x, out_y, out_z] = self.out.map(|plane| &mut plane[1..n + 1]);
+        for u in 0..n {
+            let (z, z_up, z_down) = (centre.z[u], up.z[u], down.z[u]);
+            let (z_left, z_right) = (left.z[u], right.z[u]);
+            let hx = right.x[u] * z_right - left.x[u] * z_left;
+            let hy = right.y[u] * z_right - left.y[u] * z_left;
+            let hz = z_right - z_left;
+            let vx = down.x[u] * z_down - up.x[u] * z_up;
+            let vy = down.y[u] * z_down - up.y[u] * z_up;
+            let vz = z_down - z_up;
+            // On a steep surface neighbours differ by more than noise: a slope of 5 (79°) over the pixel pitch is still one.
+            let (across, along) = (hx.abs(), vy.abs());
+            let pitch = if across > along { across } else { along };
+            let reach = SAME_SURFACE_SIGMAS * self.noise.sigma_m(z) + 2.5 * pitch;
+            let same = |other: f32| (other > 0.0) & ((other - z).abs() < reach);
+            let (nx, ny, nz) = (vy * hz - vz * hy, vz * hx - vx * hz, vx * hy - vy * hx);
+            let length = (nx * nx + ny * ny + nz * nz).sqrt();
+            let facing = nx * centre.x[u] + ny * centre.y[u] + nz;
+            let valid = (z > 0.0)
+                & same(z_up)
+                & same(z_left)
+                & same(z_right)
+                & same(z_down)
+                & (length > 1e-12)
+                & (facing < 0.0)
+                & (nz < 0.0);
+            let scale = 1.0 / length;
+            out_x[u] = if valid { nx * scale } else { 0.0 };
+            out_y[u] = if valid { ny * scale } else { 0.0 };
+            out_z[u] = if valid { nz * scale } else { 0.0 };
+        }
     }
-    let (left, right) = (points.at(u - 1, v), points.at(u + 1, v));
-    let (up, down) = (points.at(u, v - 1), points.at(u, v + 1));
-    // On a steep surface neighbours differ by more than noise: a slope of 5 (79°) over the pixel pitch is still one surface.
-    let pitch = (right.x - left.x).abs().max((down.y - up.y).abs());
-    let reach = SAME_SURFACE_SIGMAS * noise.sigma_m(centre.z) + 2.5 * pitch;
-    let same = |p: &Vector3<f32>| p.z > 0.0 && (p.z - centre.z).abs() < reach;
-    if !(same(left) && same(right) && same(up) && same(down)) {
-        return None;
+}
+
+/// Rays and depths of `n` pixels of a row.
+struct Points<'a> {
+    x: &'a [f32],
+    y: &'a [f32],
+    z: &'a [f32],
+}
+
+impl<'a> Points<'a> {
+    #[inline(always)]
+    fn of(rows: &NormalsRow<'a>, v: usize, first: usize, n: usize) -> Self {
+        Points {
+            x: &rows.ray_x[v][first..first + n],
+            y: &rows.ray_y[v][first..first + n],
+            z: &rows.depth[v][first..first + n],
+        }
     }
-    (down - up)
-        .cross(&(right - left))
-        .try_normalize(1e-12)
-        .map(|n| if n.dot(centre) > 0.0 { -n } else { n })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fusion::arch_levels;
+    use crate::geometry::CameraModel;
+    use crate::geometry::camera::tests::distorted_camera;
     use depth_camera::{Intrinsics, Sensor};
+
+    const ALL: DepthRange = DepthRange {
+        near_m: 0.3,
+        far_m: 2.0,
+    };
 
     fn pinhole() -> CameraModel {
         CameraModel::new(Intrinsics {
@@ -233,52 +372,72 @@ mod tests {
         })
     }
 
+    fn pyramid_of(
+        arch: Arch,
+        camera: &CameraModel,
+        depth: impl Fn(f32, f32) -> f32,
+    ) -> FramePyramid {
+        let mut frame = FramePyramid::new(camera);
+        let rays = frame.rays.clone();
+        let data = rays
+            .x
+            .iter()
+            .zip(&rays.y)
+            .map(|(&x, &y)| depth(x, y))
+            .collect();
+        let image = Image::from_vec(rays.width, rays.height, data);
+        clip_depth(arch, &image, ALL, &mut frame);
+        build_levels(arch, &DepthNoise::of_sensor(Sensor::Kinect2), &mut frame);
+        frame
+    }
+
     #[test]
     fn normals_of_a_slanted_plane_are_exact_on_every_level() {
-        let rays = PyramidRays::new(pinhole());
-        let expected = Vector3::new(-0.3f32, 0.2, -1.0).normalize_or_panic();
-        let plane = |ray: [f32; 2]| 0.8 / (1.0 + 0.3 * ray[0] - 0.2 * ray[1]);
-        let depth = rays.full().rays().map(|&ray| plane(ray));
-        let pyramid = build_pyramid(&depth, &rays, &DepthNoise::of_sensor(Sensor::Kinect2));
-        for map in pyramid.reduced.iter().chain([&pyramid.full]) {
-            let (u, v) = (map.normals.width() / 2, map.normals.height() / 2);
+        let length = (0.3f32 * 0.3 + 0.2 * 0.2 + 1.0).sqrt();
+        let expected = [-0.3 / length, 0.2 / length, -1.0 / length];
+        let plane = |x: f32, y: f32| 0.8 / (1.0 + 0.3 * x - 0.2 * y);
+        for level in pyramid_of(Arch::new(), &pinhole(), plane).reduced {
+            let pixel = level.rays.height / 2 * level.rays.width + level.rays.width / 2;
+            let normal = [0, 1, 2].map(|axis| level.normals[axis][pixel]);
+            let cosine: f32 = (0..3).map(|axis| normal[axis] * expected[axis]).sum();
             // Means of four pixels of a slanted plane lie off it by second-order terms only.
-            assert!(map.normals.at(u, v).dot(&expected) > 0.9999);
-        }
-    }
-
-    trait NormalizeOrPanic {
-        fn normalize_or_panic(self) -> Self;
-    }
-
-    impl NormalizeOrPanic for Vector3<f32> {
-        fn normalize_or_panic(self) -> Self {
-            self.try_normalize(0.0).expect("not zero")
+            assert!(cosine > 0.9999);
         }
     }
 
     #[test]
     fn depth_edges_are_not_smoothed_over() {
-        let noise = DepthNoise::of_sensor(Sensor::Kinect1);
-        let mut depth = Image::filled(20, 20, 0.6f32);
-        for v in 0..20 {
-            for u in 10..20 {
-                depth.data_mut()[v * 20 + u] = 0.7;
-            }
+        let step = |x: f32, _: f32| if x < 0.0 { 0.6 } else { 0.7 };
+        for level in pyramid_of(Arch::new(), &pinhole(), step).reduced {
+            let off = |z: &f32| (z - 0.6).abs().min((z - 0.7).abs());
+            assert!(level.depth.iter().all(|z| *z == 0.0 || off(z) < 1e-6));
         }
-        let smooth = bilateral_filter(&depth, &noise);
-        assert!(
-            smooth
-                .data()
-                .iter()
-                .zip(depth.data())
-                .all(|(a, b)| (a - b).abs() < 1e-6)
-        );
     }
 
     #[test]
     fn clipping_drops_what_is_not_a_number() {
-        let depth = Image::from_vec(4, 1, vec![f32::NAN, 0.2, 1.0, f32::INFINITY]);
-        assert_eq!(clip_depth(&depth, 0.3, 2.0).data(), &[0.0, 0.0, 1.0, 0.0]);
+        let mut frame = FramePyramid::new(&pinhole());
+        let mut depth = Image::filled(160, 120, 0.0f32);
+        depth.data_mut()[..5].copy_from_slice(&[f32::NAN, 0.2, 1.0, f32::INFINITY, 2.1]);
+        assert_eq!(clip_depth(Arch::new(), &depth, ALL, &mut frame), 1);
+        assert_eq!(frame.depth[..5], [0.0, 0.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        let bumpy = |x: f32, y: f32| 0.8 + 0.05 * (40.0 * x).sin() * (31.0 * y).cos();
+        let bits = |arch: Arch| -> Vec<u32> {
+            let frame = pyramid_of(arch, &distorted_camera(), bumpy);
+            let planes = frame
+                .reduced
+                .iter()
+                .flat_map(|level| level.normals.iter().chain([&level.depth]));
+            planes.flatten().map(|x| x.to_bits()).collect()
+        };
+        let [first, others @ ..] = &arch_levels()[..] else {
+            panic!("there is always one");
+        };
+        let expected = bits(*first);
+        assert!(others.iter().all(|&arch| bits(arch) == expected));
     }
 }

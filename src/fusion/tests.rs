@@ -136,3 +136,39 @@ fn given_poses_are_taken_as_they_are() {
         "two frames are too few for a surface of weight 2"
     );
 }
+
+#[test]
+fn beyond_the_memory_budget_frames_are_tracked_and_the_refusal_is_told() {
+    let (frames, _, camera) = frames(4);
+    let params = FusionParams {
+        voxel_size_m: 0.001,
+        memory_budget_mb: 64,
+        ..FusionParams::default()
+    };
+    let mut fusion = Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params);
+    let table_bytes = fusion.memory_bytes();
+    for frame in &frames {
+        let outcome = fuse(&mut fusion, frame);
+        assert!(
+            matches!(outcome, TrackingOutcome::Tracked { .. }),
+            "{outcome:?}"
+        );
+    }
+    assert!(fusion.memory_bytes() - table_bytes <= 64 << 20);
+    let refusal = fusion.refusal().expect("1 mm voxels do not fit");
+    assert!(refusal.contains("fusion.memory_budget_mb, 64"), "{refusal}");
+}
+
+#[test]
+fn a_scene_beyond_the_volume_is_told_of() {
+    let (frames, truth, camera) = frames(1);
+    let mut fusion = fusion(camera);
+    let depth = frames[0].depth.as_ref().expect("Kinect II");
+    fusion.fuse_at(depth, 0.0, &truth[0]);
+    assert_eq!(fusion.refusal(), None);
+    // The volume reaches 512 blocks of 32 mm from the first camera.
+    let far = Pose::translation(20.0, 0.0, 0.0);
+    fusion.fuse_at(depth, 0.1, &far);
+    let refusal = fusion.refusal().expect("20 m away");
+    assert!(refusal.contains("beyond the volume's border"), "{refusal}");
+}

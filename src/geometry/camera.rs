@@ -26,6 +26,11 @@ impl CameraModel {
         &self.intrinsics
     }
 
+    /// Squared normalised radius x² + y² beyond which nothing projects.
+    pub fn max_radius_squared(&self) -> f64 {
+        self.max_radius_squared
+    }
+
     /// The same lens seen by an image smaller by an integer `factor`, whose pixels are the means of `factor`² pixels.
     pub fn reduced(&self, factor: usize) -> CameraModel {
         let scale = 1.0 / factor as f64;

@@ -5,7 +5,7 @@
 //! and `pixel` (u right, v down, centres at integers). Transforms are `target_from_source` and chain by adjacent names.
 
 mod bvh;
-mod camera;
+pub(crate) mod camera;
 mod mesh;
 mod pose;
 mod rasterise;

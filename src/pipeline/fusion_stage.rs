@@ -59,6 +59,8 @@ pub struct FusionSummary {
     pub n_without_depth: u64,
     /// When tracking was lost.
     pub losses: Losses,
+    /// What of the scene found no place in the model.
+    pub refusal: Option<String>,
     /// Length of the camera's path, metres.
     pub path_length_m: f64,
     /// The scan; `None` if nothing was fused.
@@ -133,7 +135,19 @@ impl FusionStage {
             }
             None => self.lost(frame, "no given pose within 20 ms".to_owned()),
         }
+        self.note_refusal();
         self.publish();
+    }
+
+    /// Says once that the model takes nothing more.
+    fn note_refusal(&mut self) {
+        if self.summary.refusal.is_some() {
+            return;
+        }
+        self.summary.refusal = self.fusion.refusal();
+        if let Some(refusal) = &self.summary.refusal {
+            tracing::warn!("{refusal}");
+        }
     }
 
     /// What became of a frame; `None` where poses are given and none is near.
@@ -251,6 +265,7 @@ impl FusionStage {
 
     /// Takes the mesh out of the volume; the volume's memory is free before refinement begins.
     fn finish(mut self) -> FusionSummary {
+        self.summary.refusal = self.fusion.refusal();
         let mut meshing_clock = StageClock::new("mesh extraction");
         if self.summary.n_fused > 0 {
             self.status.update(|status| status.phase = Phase::Meshing);

@@ -150,6 +150,7 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
             "the disk was too slow: {unrecorded} frames were not recorded, {without_ir} without infrared"
         ));
     }
+    warnings.extend(endings.fusion.refusal.clone());
     warnings.extend_from_slice(&account.failures);
     warnings
 }

@@ -14,6 +14,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("capture", &["geometry"]),
     ("fusion", &["geometry"]),
     ("snapshot", &["geometry", "shading", "fusion"]),
+    ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("refine", &["geometry", "shading", "snapshot"]),
     ("export", &["geometry", "shading", "atomic_file"]),
     ("evaluate", &["geometry", "shading"]),

@@ -6,6 +6,7 @@ mod layering;
 mod end_to_end;
 
 mod bad_input;
+mod bench;
 mod signals;
 
 mod support;

@@ -1,0 +1,167 @@
+//! The voxels of a block as bits, a word for each slab of 8×8, and what becomes of 64 cubes and edges at a time.
+
+use super::volume::{BLOCK_SIDE, Block, BlockCoord, TsdfVolume, WEIGHT_ONE};
+
+/// Slabs of a block.
+pub const SLABS: usize = BLOCK_SIDE as usize;
+/// One bit for each voxel of a block: word z, bit x + 8 y.
+pub type Mask = [u64; SLABS];
+
+/// The bits with x = 0.
+const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
+/// No block.
+pub const NONE: u32 = u32::MAX;
+
+/// The blocks around one, itself among them; [`NONE`] where there is none. Bit a of an index stands for a step along axis a.
+#[derive(Clone, Copy, Debug)]
+pub struct Neighbours {
+    /// Towards larger coordinates.
+    pub up: [u32; 8],
+    /// Towards smaller coordinates.
+    pub down: [u32; 8],
+}
+
+impl Neighbours {
+    /// The neighbours of a block.
+    pub fn of(volume: &TsdfVolume, coord: BlockCoord) -> Self {
+        let find = |side: usize, step: i32| {
+            let coord = [0, 1, 2].map(|axis| coord[axis] + step * (side >> axis & 1) as i32);
+            volume.find(coord).map_or(NONE, |block| block as u32)
+        };
+        Neighbours {
+            up: std::array::from_fn(|side| find(side, 1)),
+            down: std::array::from_fn(|side| find(side, -1)),
+        }
+    }
+}
+
+/// What a block's voxels are.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Voxels {
+    /// Seen often enough.
+    pub seen: Mask,
+    /// Seen often enough and inside.
+    pub inside: Mask,
+}
+
+impl Voxels {
+    /// Reads a block; voxels of less than `min_weight` do not count as seen.
+    pub fn of(block: &Block, min_weight: f32) -> Self {
+        let least = (min_weight * WEIGHT_ONE).ceil().max(1.0) as u16;
+        let mut voxels = Voxels::default();
+        let rows = block
+            .tsdf
+            .as_chunks::<8>()
+            .0
+            .iter()
+            .zip(block.weight.as_chunks::<8>().0);
+        for (row, (tsdf, weight)) in rows.enumerate() {
+            let (mut seen, mut inside) = (0, 0);
+            for x in 0..8 {
+                seen |= u64::from(weight[x] >= least) << x;
+                inside |= u64::from(tsdf[x] < 0) << x;
+            }
+            let at = 8 * (row % 8);
+            voxels.seen[row / 8] |= seen << at;
+            voxels.inside[row / 8] |= (seen & inside) << at;
+        }
+        voxels
+    }
+}
+
+/// A plane of voxels with its neighbours along x, along y and along both, each at the bit of the voxel that it neighbours.
+type Plane = [u64; 4];
+
+/// Plane `z` (0 to 8) of a block's voxels and of those above it.
+fn plane(z: usize, word: impl Fn(usize, usize) -> u64) -> Plane {
+    let (above, slab) = (4 * (z / SLABS), z % SLABS);
+    let along_x = |side: usize| {
+        let own = word(above | side, slab) >> 1 & !(FIRST_COLUMN << 7);
+        own | (word(above | side | 1, slab) & FIRST_COLUMN) << 7
+    };
+    let along_y = |own: u64, next: u64| own >> 8 | next << 56;
+    let own = word(above, slab);
+    [
+        own,
+        along_x(0),
+        along_y(own, word(above | 2, slab)),
+        along_y(along_x(0), along_x(2)),
+    ]
+}
+
+/// Cubes of a block, each at the bit of its lowest voxel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cubes {
+    /// Cubes of which all eight voxels were seen.
+    pub seen: Mask,
+    /// Those among them that the surface crosses.
+    pub crossed: Mask,
+    /// Edges that the surface crosses, by axis, each at the bit of its lower voxel, whether a cube uses them or not.
+    pub crossings: [Mask; 3],
+}
+
+impl Cubes {
+    /// The cubes of a block, given what the voxels of all blocks are.
+    pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
+        let at = |side: usize| voxels.get(neighbours.up[side] as usize);
+        let around: [Voxels; 8] = std::array::from_fn(|side| at(side).copied().unwrap_or_default());
+        let seen = |z: usize| plane(z, |side, slab| around[side].seen[slab]);
+        let inside = |z: usize| plane(z, |side, slab| around[side].inside[slab]);
+        let mut cubes = Cubes::default();
+        let all = |plane: Plane| plane.iter().fold(!0, |all, word| all & word);
+        let any = |plane: Plane| plane.iter().fold(0, |any, word| any | word);
+        let (mut seen_below, mut inside_below) = (seen(0), inside(0));
+        for z in 0..SLABS {
+            let (seen_above, inside_above) = (seen(z + 1), inside(z + 1));
+            cubes.seen[z] = all(seen_below) & all(seen_above);
+            let any_inside = any(inside_below) | any(inside_above);
+            let all_inside = all(inside_below) & all(inside_above);
+            cubes.crossed[z] = cubes.seen[z] & any_inside & !all_inside;
+            cubes.crossings[0][z] = inside_below[0] ^ inside_below[1];
+            cubes.crossings[1][z] = inside_below[0] ^ inside_below[2];
+            cubes.crossings[2][z] = inside_below[0] ^ inside_above[0];
+            (seen_below, inside_below) = (seen_above, inside_above);
+        }
+        cubes
+    }
+}
+
+/// The crossed edges of a block that some cube uses, by axis, each at the bit of its lower voxel.
+pub fn used_edges(cubes: &[Cubes], neighbours: &Neighbours) -> [Mask; 3] {
+    let at = |side: usize| cubes.get(neighbours.down[side] as usize);
+    let around: [Mask; 8] =
+        std::array::from_fn(|side| at(side).map_or([0; SLABS], |cubes| cubes.seen));
+    let Some(own) = at(0) else {
+        return [[0; SLABS]; 3];
+    };
+    let mut edges = own.crossings;
+    for z in 0..SLABS {
+        // Slab z of the block, and the one below it, which may belong to the blocks below.
+        let same = |side: usize| around[side][z];
+        let below = |side: usize| match z {
+            0 => around[4 | side][SLABS - 1],
+            _ => around[side][z - 1],
+        };
+        let back_x =
+            |own: u64, previous: u64| own << 1 & !FIRST_COLUMN | previous >> 7 & FIRST_COLUMN;
+        let back_y = |own: u64, previous: u64| own << 8 | previous >> 56;
+        let with_back_x = |own: u64, previous: u64| own | back_x(own, previous);
+        let with_back_y = |own: u64, previous: u64| own | back_y(own, previous);
+        edges[0][z] &= with_back_y(same(0), same(2)) | with_back_y(below(0), below(2));
+        edges[1][z] &= with_back_x(same(0), same(1)) | with_back_x(below(0), below(1));
+        let (row, previous_row) = (with_back_x(same(0), same(1)), with_back_x(same(2), same(3)));
+        edges[2][z] &= with_back_y(row, previous_row);
+    }
+    edges
+}
+
+/// The set bits of a word, lowest first.
+#[inline(always)]
+pub fn bits(mut word: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let bit = word.trailing_zeros() as usize;
+        let found = (word != 0).then_some(bit);
+        word &= word.wrapping_sub(1);
+        found
+    })
+}

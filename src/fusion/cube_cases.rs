@@ -1,0 +1,82 @@
+//! The triangles of a cube for every pattern of inside and outside corners.
+//!
+//! They are not looked up but traced: crossings are joined along the cube's faces, always round the inside corners, into
+//! loops, and loops cut into fans. Two cubes see their common face alike, so that the mesh has no cracks.
+
+/// The triangles of one cube: edges (0..12) three by three.
+pub type Case = Vec<[u8; 3]>;
+
+/// Corners of edge `e` of a cube; corner `c` lies at (c & 1, c >> 1 & 1, c >> 2). Edge 4a + b runs along axis a.
+pub fn edge_corners(edge: u8) -> (u8, u8) {
+    let axis = edge / 4;
+    let (p, q) = ((axis + 1) % 3, (axis + 2) % 3);
+    let first = ((edge & 1) << p) | (((edge >> 1) & 1) << q);
+    (first, first | (1 << axis))
+}
+
+/// The edge between two neighbouring corners.
+fn edge_between(a: u8, b: u8) -> u8 {
+    (0..12)
+        .find(|&edge| edge_corners(edge) == (a.min(b), a.max(b)))
+        .expect("corners of one edge")
+}
+
+/// Corners of the cube's six faces, counter-clockwise seen from outside.
+fn face_loops() -> [[u8; 4]; 6] {
+    std::array::from_fn(|face| {
+        let (axis, side) = (face as u8 / 2, face as u8 % 2);
+        let (p, q) = ((axis + 1) % 3, (axis + 2) % 3);
+        let base = side << axis;
+        let loop_ = [base, base | 1 << p, base | 1 << p | 1 << q, base | 1 << q];
+        if side == 1 {
+            loop_
+        } else {
+            [loop_[0], loop_[3], loop_[2], loop_[1]]
+        }
+    })
+}
+
+/// Traces the triangles of all 256 sign patterns; bit c of a pattern is set where corner c lies inside.
+pub fn trace_cases() -> Vec<Case> {
+    let faces = face_loops();
+    (0..256u32)
+        .map(|pattern| trace_case(pattern as u8, &faces))
+        .collect()
+}
+
+fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
+    let inside = |corner: u8| pattern >> corner & 1 == 1;
+    // On each face, walk round it: the surface enters where outside turns to inside and leaves where inside turns to outside;
+    // each run of inside corners is cut off by one segment from its leaving edge back to its entering edge.
+    let mut next = [u8::MAX; 12];
+    for corners in faces {
+        for start in 0..4 {
+            let (before, first) = (corners[(start + 3) % 4], corners[start]);
+            if inside(before) || !inside(first) {
+                continue;
+            }
+            let mut last = start;
+            while inside(corners[(last + 1) % 4]) {
+                last = (last + 1) % 4;
+            }
+            let leave = edge_between(corners[last], corners[(last + 1) % 4]);
+            next[leave as usize] = edge_between(before, first);
+        }
+    }
+    let mut triangles = Vec::new();
+    let mut used = [false; 12];
+    for first in 0..12u8 {
+        if next[first as usize] == u8::MAX || used[first as usize] {
+            continue;
+        }
+        let mut ring = Vec::new();
+        let mut edge = first;
+        while !used[edge as usize] {
+            used[edge as usize] = true;
+            ring.push(edge);
+            edge = next[edge as usize];
+        }
+        triangles.extend((1..ring.len() - 1).map(|i| [ring[0], ring[i + 1], ring[i]]));
+    }
+    triangles
+}

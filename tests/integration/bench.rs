@@ -1,0 +1,63 @@
+//! `relief bench` of a small recording.
+
+use crate::support::{PROGRAM, Workbench, assert_says, summary};
+use serde_json::Value;
+use std::process::Command;
+
+fn bench(bench: &Workbench) -> Value {
+    let output = Command::new(PROGRAM)
+        .args(["bench", bench.session().to_str().unwrap()])
+        .args(["--voxel-size", "0.004", "--threads", "1", "--json"])
+        .output()
+        .unwrap();
+    assert_says(&output, 0, &[]);
+    summary(&output)
+}
+
+#[test]
+fn every_step_is_timed_and_the_path_scored_where_it_is_known() {
+    let workbench = Workbench::with_frames(3);
+    let measured = bench(&workbench);
+    let steps: Vec<&str> = measured["cpu_ms"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|time| time["step"].as_str().unwrap())
+        .collect();
+    assert_eq!(
+        steps,
+        [
+            "preprocess",
+            "icp",
+            "sdf_alignment",
+            "allocate",
+            "integrate",
+            "raycast"
+        ]
+    );
+    assert_eq!(measured["frames"]["tracked"], 3);
+    assert_eq!(measured["threads"], 1);
+    for key in ["frame_cpu_ms", "frame_wall_ms", "fps", "model_bytes"] {
+        assert!(measured[key].as_f64().unwrap() > 0.0, "{key}");
+    }
+    for key in ["vertices", "faces", "cpu_ms", "wall_ms"] {
+        assert!(measured["mesh"][key].is_number(), "{key}");
+    }
+    assert!(measured["trajectory"].is_null(), "no truth, no score");
+
+    // A measured path is taken for the truth wherever it leads: three poses 1 m apart are far from a hand's motion.
+    let list = std::fs::read_to_string(workbench.session().join("depth.txt")).unwrap();
+    let rows: Vec<String> = list
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .filter_map(|line| line.split_whitespace().next())
+        .enumerate()
+        .map(|(i, time)| format!("{time} {i} 0 0 0 0 0 1"))
+        .collect();
+    std::fs::write(workbench.session().join("groundtruth.txt"), rows.join("\n")).unwrap();
+    let trajectory = &bench(&workbench)["trajectory"];
+    assert_eq!(trajectory["n_pairs"], 3);
+    // About √(2/3) m: the camera hardly moves in three frames.
+    let rmse_m = trajectory["rmse_m"].as_f64().unwrap();
+    assert!((rmse_m - 0.816).abs() < 0.05, "{rmse_m}");
+}
