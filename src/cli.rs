@@ -1,5 +1,6 @@
 //! The command line: what can be asked for here, how it is done in [`run`], what is said in the end in [`summary`].
 
+pub mod calibrate_offset;
 pub mod run;
 pub mod summary;
 
@@ -33,6 +34,16 @@ pub enum Command {
     Simulate(SimulateArgs),
     /// Fuse and refine the recording that comes with the program
     Demo(DemoArgs),
+    /// Measure what the program has to know of a device
+    #[command(subcommand)]
+    Calibrate(CalibrateCommand),
+}
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum CalibrateCommand {
+    /// Where the IR image lies against the depth image, from silhouettes
+    Offset(OffsetArgs),
 }
 
 /// `relief replay`.
@@ -124,6 +135,25 @@ pub struct DemoArgs {
     /// Folder for the outputs; a new one under `out` without it
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+}
+
+/// `relief calibrate offset`.
+#[derive(Debug, Args)]
+pub struct OffsetArgs {
+    /// Folder of the session, as the device delivered it
+    pub session: PathBuf,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Serial number of the device; the session's without it
+    #[arg(long, value_name = "SERIAL")]
+    pub serial: Option<String>,
+    /// Replace an older measurement; the file as it was is kept beside it
+    #[arg(long)]
+    pub replace: bool,
+    /// Measure only
+    #[arg(long)]
+    pub dry_run: bool,
 }
 
 /// A sensor by name.

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 pub mod atomic_file;
+pub mod calibrate;
 pub mod capture;
 pub mod config;
 pub mod control;

@@ -5,7 +5,7 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command,
+    CalibrateCommand, Cli, Command, calibrate_offset,
     run::{self, Verdict},
     summary,
 };
@@ -29,6 +29,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => run::replay(args, &progress),
         Command::Simulate(args) => run::simulate(args),
         Command::Demo(args) => run::demo(args, &progress),
+        Command::Calibrate(CalibrateCommand::Offset(args)) => calibrate_offset::offset(args),
     };
     let verdict = ran.unwrap_or_else(|error| {
         if prints_json {

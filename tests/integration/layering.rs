@@ -16,6 +16,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("snapshot", &["geometry", "shading", "fusion"]),
     ("refine", &["geometry", "shading", "snapshot"]),
     ("export", &["geometry", "shading", "atomic_file"]),
+    ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("evaluate", &["geometry", "shading"]),
     (
         "config",

@@ -6,6 +6,7 @@ mod layering;
 mod end_to_end;
 
 mod bad_input;
+mod calibrate;
 mod signals;
 
 mod support;
