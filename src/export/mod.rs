@@ -21,6 +21,7 @@ mod snapshots;
 mod views;
 
 mod chart;
+mod page;
 mod report;
 mod report_format;
 mod report_html;

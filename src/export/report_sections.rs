@@ -2,6 +2,7 @@
 
 use super::{
     Report,
+    page::figure,
     report_format::{area, change, count, duration, fixed, length, memory, percent},
     report_html::EncodedPictures,
 };
@@ -162,10 +163,6 @@ pub(super) fn surface(report: &Report, pictures: &EncodedPictures) -> Markup {
             } }
         }
     }
-}
-
-fn figure(address: &str, caption: &str) -> Markup {
-    html! { figure { img src=(address) alt=(caption); figcaption { (caption) } } }
 }
 
 /// Small pictures of what the sensor saw.
