@@ -1,4 +1,5 @@
-//! What a scan leaves behind: meshes (PLY, GLB), the trajectory, the shading images, pictures, and the report.
+//! What a scan leaves behind: meshes (PLY, GLB), the trajectory, the shading images, pictures, and the report; and what a
+//! calibration leaves: its page.
 //!
 //! Every writer goes through [`write_atomically`]: a file stands under its final name whole or not at all. Lengths are
 //! metres and the frame is `world` (the first camera: x right, y down, z forward), except that the scene of a GLB is turned
@@ -28,7 +29,19 @@ mod report_html;
 mod report_refinement;
 mod report_sections;
 
+mod calibration_distance;
+mod calibration_flat_field;
+mod calibration_page;
+mod calibration_response;
+mod calibration_sections;
+mod colour_scale;
+mod scatter;
+
 pub use atomic::write_atomically;
+pub use calibration_page::{
+    CalibrationPage, CalibrationResult, CalibrationSession, DistanceFigure, FlatFieldFigure,
+    ResponseFigure, write_calibration_page,
+};
 pub use error::ExportError;
 pub use glb::write_glb;
 pub use material::PhongParams;

@@ -27,7 +27,8 @@ pub(super) fn heading(report: &Report) -> Markup {
     }
 }
 
-fn sensor_name(sensor: &str) -> &str {
+/// A sensor as people call it.
+pub(super) fn sensor_name(sensor: &str) -> &str {
     match sensor {
         "kinect1" => "Kinect I",
         "kinect2" => "Kinect II",
@@ -77,7 +78,7 @@ pub(super) fn not_refined(report: &Report) -> Markup {
 }
 
 /// Upper case at the beginning, a full stop at the end.
-fn sentence(text: &str) -> String {
+pub(super) fn sentence(text: &str) -> String {
     let mut chars = text.trim().chars();
     let first: String = chars
         .next()
