@@ -473,7 +473,9 @@ fn flat_field_figure(findings: &Findings, sensor: &Sensor) -> FlatFieldFigure {
     let (mut factors, mut sigmas) = (Vec::new(), Vec::new());
     for pixel in 0..width * height {
         let [x, y] = rays.at(pixel % width * FLAT_STRIDE, pixel / width * FLAT_STRIDE);
-        let measured = findings.estimate.log_far_field(f64::from(*x), f64::from(*y));
+        let measured = findings
+            .estimate
+            .log_far_field(f64::from(*x), f64::from(*y));
         let known = x.is_finite();
         factors.push(if known {
             measured.value.exp() as f32
