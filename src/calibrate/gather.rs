@@ -59,6 +59,8 @@ pub enum Place {
 const MAX_IMAGES: usize = 32;
 /// A wall is a plane that holds this share of the depth.
 const WALL_SHARE: f64 = 0.8;
+/// A sphere is found in a mesh of a few frames, too: half a frontal view makes a surface.
+const MIN_SURFACE_WEIGHT: f64 = 0.5;
 /// Depth images with less valid pixels tell nothing; those of a covered Kinect I stay below 4 %.
 const MIN_VALID_SHARE: f64 = 0.05;
 
@@ -91,7 +93,14 @@ impl Gatherer {
         Some(Gatherer {
             rays: RayGrid::new(camera),
             noise,
-            fusion: Fusion::new(camera, noise, fusion),
+            fusion: Fusion::new(
+                camera,
+                noise,
+                FusionParams {
+                    min_surface_weight: MIN_SURFACE_WEIGHT,
+                    ..fusion
+                },
+            ),
             selector: (info.sensor == Sensor::Kinect1).then_some(selector),
             is_wall: None,
             kept: Vec::new(),

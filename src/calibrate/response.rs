@@ -2,7 +2,7 @@
 
 use super::gather::Scan;
 use super::model::log_linear;
-use super::samples::{MAX_INTERREFLECTED, Sample, sphere_samples};
+use super::samples::{MAX_INTERREFLECTED, SPHERE_STRIDE, Sample, sphere_samples};
 use super::state::{Estimate, State};
 use super::{Refusal, Sensor};
 use crate::shading::{Tukey, median_absolute_deviation};
@@ -263,9 +263,13 @@ fn residual_map(
         let Some(pixel) = camera.project(&nalgebra::Point3::new(x, y, 1.0)) else {
             continue;
         };
-        let (u, v) = (pixel.x.round() as usize, pixel.y.round() as usize);
-        if let Some(c) = compare(&sample).filter(|_| u < width && v < height) {
-            map.data_mut()[v * width + u] = (c.observed - c.predicted) as f32;
+        let (u0, v0) = (pixel.x.round() as usize, pixel.y.round() as usize);
+        let Some(c) = compare(&sample) else { continue };
+        // A sample stands for the pixels that were stepped over.
+        for v in v0..(v0 + SPHERE_STRIDE).min(height) {
+            for u in u0..(u0 + SPHERE_STRIDE).min(width) {
+                map.data_mut()[v * width + u] = (c.observed - c.predicted) as f32;
+            }
         }
     }
     map

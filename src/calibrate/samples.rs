@@ -91,7 +91,7 @@ const WALL_CELL: usize = 8;
 /// Tiles of an image are squares of this side, pixels.
 const TILE_PX: usize = 64;
 /// Spheres are sampled at every so many pixels, on each axis.
-const SPHERE_STRIDE: usize = 2;
+pub const SPHERE_STRIDE: usize = 2;
 /// From this share of full scale a pixel counts as saturated.
 pub const SATURATION: f64 = 0.985;
 /// Darker than this many standard deviations of read noise is not looked at: the logarithm would be bent.

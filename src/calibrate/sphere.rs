@@ -28,7 +28,10 @@ pub struct FoundSphere {
 
 /// Spheres that a desk holds and a Kinect sees well, metres.
 const RADIUS_BOUNDS_M: [f64; 2] = [0.03, 0.4];
-const N_DRAWS: usize = 20_000;
+const N_DRAWS: usize = 10_000;
+/// Vertices among which the second one of a pair is looked for, and how far apart the two are, metres.
+const N_TRIES: usize = 40;
+const PAIR_M: std::ops::Range<f64> = 0.02..0.2;
 const N_SCORED: usize = 3_000;
 /// A vertex lies on the sphere within this distance, as a share of the radius, and at least 2 mm: multipath near a table
 /// bends depth by 5 mm.
@@ -59,38 +62,37 @@ pub fn find_sphere(
         coverage,
         required: MIN_COVERAGE,
     };
-    let vertices: Vec<Oriented> = mesh
-        .vertices
-        .iter()
-        .copied()
-        .zip(mesh.vertex_normals())
-        .collect();
+    let normals = smooth_normals(mesh);
+    let vertices: Vec<Oriented> = mesh.vertices.iter().copied().zip(normals).collect();
     if vertices.len() < 100 {
         return Err(refusal(0.0));
     }
     let mut random = fastrand::Rng::with_seed(1);
-    let mut draw = |n: usize| -> Vec<Oriented> {
-        (0..n)
-            .map(|_| vertices[random.usize(..vertices.len())])
-            .collect()
-    };
-    let scored = draw(N_SCORED);
-    let (first, second) = (draw(N_DRAWS), draw(N_DRAWS));
+    let mut draw = || vertices[random.usize(..vertices.len())];
+    let scored: Vec<Oriented> = (0..N_SCORED).map(|_| draw()).collect();
     let mut best = (0.0, Point3::origin(), 0.0);
-    for (a, b) in first.iter().zip(&second) {
-        let Some((centre, r)) = sphere_of_pair(a, b, radius) else {
+    for _ in 0..N_DRAWS {
+        let a = draw();
+        // A sphere may be a hundredth of the mesh: its second vertex is looked for nearby.
+        let nearby = (0..N_TRIES).map(|_| draw());
+        let b = nearby
+            .into_iter()
+            .find(|b| PAIR_M.contains(&(b.0 - a.0).norm()));
+        let Some((centre, r)) = b.and_then(|b| sphere_of_pair(&a, &b, radius)) else {
             continue;
         };
+        // Votes times the share of the sphere that they cover: the shallow cap of a large sphere fits any table.
         let votes = scored.iter().filter(|v| lies_on(v, &centre, r)).count() as f64;
-        if votes > best.0 {
-            best = (votes, centre, r);
+        let score = (votes / r).powi(2);
+        if score > best.0 {
+            best = (score, centre, r);
         }
     }
     let (_, mut centre, mut r) = best;
     for _ in 0..10 {
         (centre, r) = refit(&vertices, &centre, r, radius).ok_or_else(|| refusal(0.0))?;
     }
-    let coverage = covered_share(mesh, &centre, r);
+    let coverage = covered_share(mesh, &vertices, &centre, r);
     if coverage < MIN_COVERAGE {
         return Err(refusal(coverage));
     }
@@ -103,6 +105,26 @@ pub fn find_sphere(
         },
         coverage,
     })
+}
+
+/// Vertex normals averaged over about a centimetre: those of a mesh of few frames are off by 15°.
+fn smooth_normals(mesh: &TriMesh) -> Vec<Vector3<f64>> {
+    /// Rounds of averaging over the faces round a vertex; edges are about 2 mm.
+    const N_ROUNDS: usize = 12;
+    let mut normals = mesh.vertex_normals();
+    for _ in 0..N_ROUNDS {
+        let mut sums = vec![Vector3::zeros(); normals.len()];
+        for face in &mesh.faces {
+            let sum: Vector3<f64> = face.iter().map(|vertex| normals[*vertex as usize]).sum();
+            for vertex in face {
+                sums[*vertex as usize] += sum;
+            }
+        }
+        for (normal, sum) in normals.iter_mut().zip(sums) {
+            *normal = sum.try_normalize(0.0).unwrap_or_default();
+        }
+    }
+    normals
 }
 
 /// Where the normals of two vertices meet, nearly; `None` where they do not.
@@ -162,14 +184,13 @@ fn refit(
     Some((centre + step.xyz(), r + step.w))
 }
 
-/// Area of the mesh on the sphere, over that of half the sphere.
-fn covered_share(mesh: &TriMesh, centre: &Point3<f64>, r: f64) -> f64 {
+/// Area of the mesh on the sphere, over that of half the sphere: faces all of whose corners lie on it.
+fn covered_share(mesh: &TriMesh, vertices: &[Oriented], centre: &Point3<f64>, r: f64) -> f64 {
     let on_sphere = mesh.filter_faces(|face| {
-        let [a, b, c] = mesh.corners(face);
-        let normal = (b - a).cross(&(c - a));
-        normal
-            .try_normalize(0.0)
-            .is_some_and(|normal| lies_on(&(mesh.centroid(face), normal), centre, r))
+        let corners = mesh.faces[face].iter();
+        corners
+            .into_iter()
+            .all(|vertex| lies_on(&vertices[*vertex as usize], centre, r))
     });
     on_sphere.area_m2() / (std::f64::consts::TAU * r * r)
 }

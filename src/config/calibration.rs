@@ -39,16 +39,23 @@ pub struct FoundCalibration {
 pub enum CalibrationSource {
     /// A file.
     File(PathBuf),
-    /// The one shipped for every sensor of the kind.
-    Shipped(Sensor),
+    /// The one shipped for every sensor of the kind, read by that driver where it is known.
+    Shipped(Sensor, Option<String>),
 }
 
 impl fmt::Display for CalibrationSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             CalibrationSource::File(path) => write!(f, "{}", path.display()),
-            CalibrationSource::Shipped(sensor) => {
+            CalibrationSource::Shipped(sensor, None) => {
                 write!(f, "the one shipped for every {}", sensor.name())
+            }
+            CalibrationSource::Shipped(sensor, Some(driver)) => {
+                write!(
+                    f,
+                    "the one shipped for every {} read by {driver}",
+                    sensor.name()
+                )
             }
         }
     }
@@ -65,37 +72,41 @@ pub fn find_calibration(
     places: &CalibrationPlaces,
 ) -> Result<FoundCalibration, ConfigError> {
     if let Some(path) = places.given {
-        return read(path, info.sensor);
+        return read(path, info);
     }
     let of_serial = calibration_path(places.folder, &info.serial).ok();
     if let Some(path) = of_serial.filter(|path| path.exists()) {
-        return read(&path, info.sensor).and_then(|found| found.of_serial(&path, &info.serial));
+        return read(&path, info).and_then(|found| found.of_serial(&path, &info.serial));
     }
     let of_session = places
         .session
         .map(|folder| folder.join(Calibration::FILE_NAME));
     if let Some(path) = of_session.filter(|path| path.exists()) {
-        return read(&path, info.sensor);
+        return read(&path, info);
     }
     let nothing = DeviceCalibration::new(info.serial.clone(), info.sensor);
-    over_shipped(&nothing, CalibrationSource::Shipped(info.sensor))
+    over_shipped(&nothing, info, shipped_source(info))
 }
 
-fn read(path: &Path, sensor: Sensor) -> Result<FoundCalibration, ConfigError> {
+fn shipped_source(info: &CameraInfo) -> CalibrationSource {
+    CalibrationSource::Shipped(info.sensor, info.driver.clone())
+}
+
+fn read(path: &Path, info: &CameraInfo) -> Result<FoundCalibration, ConfigError> {
     let in_file = |what: String| ConfigError::in_file(path, what);
     let text = fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
     let table: toml::Table = toml::from_str(&text).map_err(|error| in_file(error.to_string()))?;
     let source = CalibrationSource::File(path.to_owned());
     if table.contains_key("version") {
         let device = DeviceCalibration::from_toml(&text).map_err(in_file)?;
-        if device.sensor != sensor {
+        if device.sensor != info.sensor {
             return Err(in_file(format!(
                 "sensor is \"{}\", must be \"{}\"",
                 device.sensor.name(),
-                sensor.name()
+                info.sensor.name()
             )));
         }
-        return over_shipped(&device, source);
+        return over_shipped(&device, info, source);
     }
     let calibration = Calibration::from_toml(&text).map_err(in_file)?;
     let position = match calibration.light.position_m {
@@ -116,10 +127,11 @@ fn read(path: &Path, sensor: Sensor) -> Result<FoundCalibration, ConfigError> {
 
 fn over_shipped(
     device: &DeviceCalibration,
+    info: &CameraInfo,
     source: CalibrationSource,
 ) -> Result<FoundCalibration, ConfigError> {
-    let shipped = Calibration::shipped(device.sensor).map_err(|what| ConfigError {
-        origin: CalibrationSource::Shipped(device.sensor).to_string(),
+    let shipped = Calibration::shipped_for(info).map_err(|what| ConfigError {
+        origin: shipped_source(info).to_string(),
         what,
     })?;
     let (calibration, origins) = device.over(shipped);
@@ -147,7 +159,7 @@ impl FoundCalibration {
         let kind = info.sensor.name();
         let path = match &self.source {
             CalibrationSource::File(path) => path.display(),
-            CalibrationSource::Shipped(_) => {
+            CalibrationSource::Shipped(..) => {
                 return vec![format!(
                     "no calibration of the device {} is known, the one shipped for every {kind} is used",
                     info.serial

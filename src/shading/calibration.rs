@@ -1,7 +1,7 @@
 //! What has to be known of a sensor before its IR values measure light.
 
 use super::{FlatField, NearLight};
-use depth_camera::{Light, Sensor};
+use depth_camera::{CameraInfo, Light, Sensor};
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
@@ -75,6 +75,20 @@ impl Calibration {
             Sensor::Kinect2 => include_str!("../../config/calibration-kinect2.toml"),
         };
         Self::from_toml(text)
+    }
+
+    /// The calibration that `config/` carries for what a camera says of itself: of its driver where that decides the
+    /// response, else of its kind.
+    ///
+    /// # Errors
+    /// As for [`Self::shipped`].
+    pub fn shipped_for(info: &CameraInfo) -> Result<Self, String> {
+        match (info.sensor, info.driver.as_deref()) {
+            (Sensor::Kinect2, Some("libfreenect2")) => Self::from_toml(include_str!(
+                "../../config/calibration-kinect2-libfreenect2.toml"
+            )),
+            (sensor, _) => Self::shipped(sensor),
+        }
     }
 
     /// Parses and checks a calibration.

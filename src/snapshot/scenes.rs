@@ -15,6 +15,7 @@ pub(super) fn camera_info(sensor: Sensor) -> CameraInfo {
     CameraInfo {
         sensor,
         serial: "scene".into(),
+        driver: None,
         intrinsics: Intrinsics {
             width: 128,
             height: 106,

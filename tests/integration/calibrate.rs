@@ -1,13 +1,15 @@
 //! Measuring a device by the program, and what later runs make of it.
 
 use crate::support::{PROGRAM, Workbench, assert_says, record};
-use depth_camera::Sensor;
-use nalgebra::center;
+use depth_camera::{DepthCamera, Sensor};
+use nalgebra::{Isometry3, Point3, Vector3, center};
 use relief::config::{CalibrationKey, DeviceCalibration};
-use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
+use replay::SessionWriter;
+use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
 use std::{
     path::Path,
     process::{Command, Output},
+    time::Duration,
 };
 
 /// A raw Kinect I, led round the plaque with three shading poses.
@@ -92,4 +94,92 @@ fn a_session_without_silhouettes_is_refused() {
     assert!(!folder.exists());
     let output = measure(&bench.session(), &folder, &["--serial", "../a"]);
     assert_says(&output, 2, &["\"../a\" must be a plain file name"]);
+}
+
+/// A Kinect II with a response of its own, which stays at one place after the other.
+fn strange_kinect2(scene: &Scene, eyes: &[Point3<f64>], target: Point3<f64>, folder: &Path) {
+    let mut writer: Option<SessionWriter> = None;
+    for (moment, eye) in eyes.iter().enumerate() {
+        let mut camera = SimulatedCamera::new(Setup {
+            trajectory: Trajectory::still(*eye, target),
+            scene: scene.clone(),
+            sensor: Sensor::Kinect2,
+            infrared: Infrared {
+                gamma: 0.79,
+                lens_power: 1.5,
+                lobe_power: 1.2,
+                ..Infrared::of_sensor(Sensor::Kinect2)
+            },
+            n_moving_frames: 1,
+            shading_frames: Vec::new(),
+            reduction: 1,
+            seed: 3,
+        })
+        .unwrap();
+        let writer = writer
+            .get_or_insert_with(|| SessionWriter::create(folder, camera.info(), 5000.0).unwrap());
+        let mut frame = camera.grab(Duration::ZERO).unwrap().unwrap();
+        frame.frame_id = moment as u64;
+        frame.device_time_secs = moment as f64 / 30.0;
+        writer.write(&frame).unwrap();
+    }
+    writer.unwrap().finish().unwrap();
+}
+
+fn calibrate(what: &str, sessions: &[&Path], folder: &Path) -> Output {
+    Command::new(PROGRAM)
+        .args(["calibrate", what])
+        .args(sessions)
+        .arg("--calibration-dir")
+        .arg(folder)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
+    let root = tempfile::tempdir().unwrap();
+    let (sphere, wall) = (root.path().join("sphere"), root.path().join("wall"));
+    let folder = root.path().join("calibration");
+    let ball = Scene::sphere();
+    let (low, high) = ball.object_bounds();
+    let middle = center(&low, &high);
+    let eyes: Vec<_> = [0.0, 0.01, 0.02]
+        .map(|aside| middle + Vector3::new(aside, -0.52, 0.25))
+        .into();
+    strange_kinect2(&ball, &eyes, middle, &sphere);
+    let half_size = [2.5, 2.5];
+    let plain = Solid::new(Shape::Table { half_size }, Isometry3::identity(), 0.7);
+    let plain = Scene::new(vec![plain], 0);
+    let away = |distance_m: f64| Point3::new(0.02, -0.06 * distance_m, distance_m);
+    let eyes: Vec<_> = [0.55, 0.7, 0.85, 1.0, 1.2, 1.4].map(away).into();
+    strange_kinect2(&plain, &eyes, Point3::origin(), &wall);
+
+    let output = calibrate("response", &[&sphere, &wall], &folder);
+    assert_says(&output, 0, &["calibration written", "page written"]);
+    let device = DeviceCalibration::read(&folder.join("simulated-3.toml")).unwrap();
+    let gamma = device.gamma.unwrap();
+    assert!((gamma - 0.79).abs() < 0.01, "{gamma}");
+    let page = std::fs::read_to_string(folder.join("simulated-3.response.html")).unwrap();
+    assert!(page.contains("Kinect II") && !page.contains("http"));
+
+    let again = calibrate("response", &[&sphere, &wall], &folder);
+    assert_says(&again, 2, &["gamma is there already", "--replace"]);
+    let walls_only = calibrate("response", &[&wall], &folder);
+    assert_says(&walls_only, 1, &["no session shows a sphere"]);
+    let spheres_only = calibrate("flat-field", &[&sphere], &folder);
+    assert_says(&spheres_only, 1, &["no session shows a plain wall"]);
+}
+
+#[test]
+fn a_session_without_sphere_or_wall_is_refused_with_what_was_found() {
+    let bench = Workbench::with_frames(3);
+    let folder = bench.path("calibration");
+    let output = calibrate("response", &[&bench.session()], &folder);
+    assert_says(
+        &output,
+        1,
+        &["neither a wall", "nor a sphere is in view", "35 %"],
+    );
+    assert!(!folder.exists());
 }

@@ -104,6 +104,8 @@ pub struct CameraInfo {
     pub sensor: Sensor,
     /// The device's serial number; a recording without one carries its session's name.
     pub serial: String,
+    /// What decodes the sensor's packets, which decides the response of its IR: "libfreenect2"; `None` where that is unknown.
+    pub driver: Option<String>,
     /// The camera model of depth and IR.
     pub intrinsics: Intrinsics,
     /// IR counts at full scale; `None` if the camera delivers no IR.

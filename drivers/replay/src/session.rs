@@ -21,6 +21,8 @@ pub(crate) struct SessionFile {
     sensor: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     serial: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    driver: Option<String>,
     pub(crate) depth_units_per_metre: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     ir_full_scale: Option<f64>,
@@ -66,6 +68,7 @@ impl SessionFile {
             name: name.to_owned(),
             sensor: info.sensor.name().to_owned(),
             serial: Some(info.serial.clone()),
+            driver: info.driver.clone(),
             depth_units_per_metre,
             ir_full_scale: info.ir_full_scale,
             ir_camera: IrCamera {
@@ -103,6 +106,7 @@ impl SessionFile {
         Ok(CameraInfo {
             sensor,
             serial: self.serial.clone().unwrap_or_else(|| self.name.clone()),
+            driver: self.driver.clone(),
             intrinsics: self.ir_camera.intrinsics(),
             ir_full_scale: self.ir_full_scale.filter(|_| with_ir),
             light: light.filter(|_| with_ir),

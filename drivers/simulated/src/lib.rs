@@ -110,6 +110,7 @@ impl SimulatedCamera {
         let info = CameraInfo {
             sensor: setup.sensor,
             serial: format!("simulated-{}", setup.seed),
+            driver: None,
             intrinsics: lens,
             ir_full_scale: Some(sensor::full_scale(setup.sensor)),
             light: Some(setup.infrared.light(setup.sensor)),

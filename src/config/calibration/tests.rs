@@ -50,7 +50,10 @@ fn partial(serial: &str, sensor: &str) -> String {
 fn the_most_binding_place_wins() {
     let bench = Bench::new();
     let found = bench.find(None).unwrap();
-    assert_eq!(found.source, CalibrationSource::Shipped(Sensor::Kinect2));
+    assert_eq!(
+        found.source,
+        CalibrationSource::Shipped(Sensor::Kinect2, None)
+    );
     for (name, gamma) in [
         ("session/calibration.toml", 1.1),
         ("calibration/simulated-5.toml", 1.2),
@@ -72,7 +75,7 @@ fn a_serial_that_is_no_file_name_has_no_file() {
     for stranger in ["simulated-6", "../calibration/simulated-5", ""] {
         bench.info.serial = stranger.to_owned();
         let source = bench.find(None).unwrap().source;
-        assert_eq!(source, CalibrationSource::Shipped(Sensor::Kinect2));
+        assert_eq!(source, CalibrationSource::Shipped(Sensor::Kinect2, None));
     }
 }
 

@@ -14,6 +14,7 @@ pub fn tiny_camera() -> CameraInfo {
     CameraInfo {
         sensor: Sensor::Kinect2,
         serial: "0042".to_owned(),
+        driver: None,
         intrinsics: Intrinsics {
             width: 7,
             height: 5,
