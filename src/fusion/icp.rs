@@ -40,18 +40,18 @@ impl Default for IcpParams {
 
 /// Normal equations of one iteration.
 #[derive(Clone, Copy, Debug)]
-struct NormalEquations {
-    jtj: Matrix6<f64>,
+pub(super) struct NormalEquations {
+    pub(super) jtj: Matrix6<f64>,
     jtr: Vector6<f64>,
     /// Sum of weights and of weighted squared residuals (m²).
-    weight: f64,
+    pub(super) weight: f64,
     weighted_square: f64,
     n_points: usize,
     n_inliers: usize,
 }
 
 impl NormalEquations {
-    const ZERO: NormalEquations = NormalEquations {
+    pub(super) const ZERO: NormalEquations = NormalEquations {
         jtj: Matrix6::new(
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -75,7 +75,13 @@ impl NormalEquations {
     }
 
     /// Adds the residual `n·(p − q)` of a point p (relative to `centre`) with the plane normal n.
-    fn add(&mut self, lever: &Vector3<f64>, normal: &Vector3<f64>, residual: f64, weight: f64) {
+    pub(super) fn add(
+        &mut self,
+        lever: &Vector3<f64>,
+        normal: &Vector3<f64>,
+        residual: f64,
+        weight: f64,
+    ) {
         let torque = lever.cross(normal);
         let row = Vector6::new(torque.x, torque.y, torque.z, normal.x, normal.y, normal.z);
         self.jtj.syger(weight, &row, &row, 1.0);
@@ -86,7 +92,7 @@ impl NormalEquations {
     }
 
     /// The left increment about `centre` that lowers the residuals, with a prior that holds what the data do not see.
-    fn solve(&self, centre: &Vector3<f64>) -> Option<Pose> {
+    pub(super) fn solve(&self, centre: &Vector3<f64>) -> Option<Pose> {
         let mut jtj = self.jtj;
         jtj.fill_upper_triangle_with_lower_triangle();
         // A thousandth of a point's worth of prior: 1 rad and 1 m are far beyond any frame's motion.
@@ -207,7 +213,7 @@ fn see_through_share(live: &VertexMap, model: &Model, world_from_camera: &Pose) 
 }
 
 /// A step below 1 µm and 1 µrad changes nothing that depth could see.
-fn is_small(step: &Pose) -> bool {
+pub(super) fn is_small(step: &Pose) -> bool {
     step.translation.vector.norm() < 1e-6 && step.rotation.angle() < 1e-6
 }
 
@@ -218,7 +224,7 @@ struct Gates {
 }
 
 /// Huber weight: residuals beyond `delta` pull with constant force.
-fn huber(residual: f32, delta: f32) -> f32 {
+pub(super) fn huber(residual: f32, delta: f32) -> f32 {
     if residual.abs() <= delta {
         1.0
     } else {
@@ -227,7 +233,10 @@ fn huber(residual: f32, delta: f32) -> f32 {
 }
 
 /// Sums `tile_of(v)` over all rows, tile by tile in order.
-fn sum_rows(height: usize, row: impl Fn(usize, &mut NormalEquations) + Sync) -> NormalEquations {
+pub(super) fn sum_rows(
+    height: usize,
+    row: impl Fn(usize, &mut NormalEquations) + Sync,
+) -> NormalEquations {
     const TILE_ROWS: usize = 8;
     let tiles: Vec<NormalEquations> = (0..height.div_ceil(TILE_ROWS))
         .into_par_iter()
@@ -245,7 +254,7 @@ fn sum_rows(height: usize, row: impl Fn(usize, &mut NormalEquations) + Sync) -> 
 }
 
 /// Residuals are Huber-weighted beyond this many sigmas of the depth noise.
-const HUBER_SIGMAS: f32 = 2.0;
+pub(super) const HUBER_SIGMAS: f32 = 2.0;
 
 fn point_to_plane(
     live: &VertexMap,

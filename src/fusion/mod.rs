@@ -4,13 +4,20 @@
 //! frame of the first image. When in doubt a frame is not fused: [`TrackingOutcome::Lost`] stops integration until a later
 //! frame fits the model again from the last good pose.
 //!
-//! Not handled here: relocalising after a jump, closing loops, moving objects.
+//! Not handled here: relocalising after a jump, moving objects.
 
+mod fragment_alignment;
+mod fragments;
 mod icp;
 mod integrate;
+mod keyframes;
+mod loop_closing;
 mod marching_cubes;
 mod noise;
+mod packed_depth;
 mod params;
+mod pose_correction;
+mod pose_graph;
 mod preprocess;
 mod raycast;
 #[cfg(test)]
@@ -18,15 +25,17 @@ mod tests;
 mod volume;
 
 pub use icp::{Fit, IcpParams};
+pub use loop_closing::{LoopClosingParams, LoopClosure};
 pub use noise::DepthNoise;
 pub use params::FusionParams;
+pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
 
 use crate::geometry::{CameraModel, Pose, TriMesh, increment, motion_between};
 use depth_camera::Image;
+use keyframes::Keyframes;
 use nalgebra::Vector6;
-use preprocess::{FramePyramid, PyramidRays};
-use raycast::DepthRange;
+use preprocess::{FramePyramid, PyramidRays, VertexMap};
 use serde::Serialize;
 use volume::TsdfVolume;
 
@@ -90,12 +99,20 @@ const MAX_PREDICTION_SECS: f64 = 0.12;
 pub struct Fusion {
     params: FusionParams,
     noise: DepthNoise,
-    camera: CameraModel,
     rays: PyramidRays,
     volume: TsdfVolume,
     model: Option<ModelMap>,
     track: Track,
     n_fused: usize,
+    keyframes: Keyframes,
+    /// Number of the stretch of unbroken tracking.
+    stretch: usize,
+}
+
+/// What turns a depth image into measurements.
+struct Eye<'a> {
+    rays: &'a PyramidRays,
+    noise: &'a DepthNoise,
 }
 
 /// The camera's recent motion.
@@ -110,12 +127,10 @@ struct Track {
 impl Fusion {
     /// An empty model for one camera; `params` must have been validated.
     pub fn new(camera: CameraModel, noise: DepthNoise, params: FusionParams) -> Self {
-        let truncation_m = params.voxel_size_m * params.truncation_voxels;
         Fusion {
             noise,
-            camera,
             rays: PyramidRays::new(camera),
-            volume: TsdfVolume::new(params.voxel_size_m as f32, truncation_m as f32),
+            volume: params.empty_volume(),
             model: None,
             track: Track {
                 world_from_camera: Pose::identity(),
@@ -123,6 +138,8 @@ impl Fusion {
                 velocity: Vector6::zeros(),
             },
             n_fused: 0,
+            keyframes: Keyframes::new(params.loop_closing.max_memory_mb << 20),
+            stretch: 0,
             params,
         }
     }
@@ -135,6 +152,7 @@ impl Fusion {
         };
         let Some(model) = &self.model else {
             self.accept(&depth, &pyramid, Pose::identity(), time_secs);
+            self.remember(&depth);
             return TrackingOutcome::Tracked {
                 world_from_camera: Pose::identity(),
                 fit: None,
@@ -143,6 +161,7 @@ impl Fusion {
         match self.locate(&pyramid, model, time_secs) {
             Ok((world_from_camera, fit)) => {
                 self.accept(&depth, &pyramid, world_from_camera, time_secs);
+                self.remember(&depth);
                 TrackingOutcome::Tracked {
                     world_from_camera,
                     fit: Some(fit),
@@ -150,6 +169,7 @@ impl Fusion {
             }
             Err(reason) => {
                 self.track.velocity = Vector6::zeros();
+                self.stretch = self.n_fused;
                 TrackingOutcome::Lost(reason)
             }
         }
@@ -170,6 +190,20 @@ impl Fusion {
             world_from_camera: *world_from_camera,
             fit: None,
         }
+    }
+
+    /// At the end of a scan: takes back the drift between visits of one place and fuses every frame anew. The poses handed
+    /// out so far are then to be moved by [`LoopClosure::correction`], and no more frames can be tracked. `None`, and nothing
+    /// is changed, if the camera never came back or its frames would not fit one another better.
+    pub fn close_loops(&mut self) -> Option<LoopClosure> {
+        let eye = Eye {
+            rays: &self.rays,
+            noise: &self.noise,
+        };
+        let frames = self.keyframes.frames();
+        let closure = loop_closing::find(frames, &eye, &self.params, &self.volume)?;
+        self.volume = closure.volume;
+        Some(closure.closure)
     }
 
     /// The model as the camera saw it after the last fused frame, at a quarter of the resolution.
@@ -277,37 +311,61 @@ impl Fusion {
         world_from_camera: Pose,
         time_secs: f64,
     ) {
-        let observations = integrate::observe(depth, &pyramid.full, &self.noise);
-        let band = integrate::blocks_in_band(
-            &self.volume,
-            &observations,
-            self.rays.full(),
-            &world_from_camera,
-        );
-        integrate::integrate(
-            &mut self.volume,
-            &band,
-            &observations,
-            &self.camera,
-            &world_from_camera,
-        );
-        let range = DepthRange {
-            near_m: self.params.depth_min_m as f32,
-            far_m: self.params.depth_max_m as f32,
+        let eye = Eye {
+            rays: &self.rays,
+            noise: &self.noise,
         };
+        integrate_frame(
+            &mut self.volume,
+            depth,
+            &pyramid.full,
+            &eye,
+            &world_from_camera,
+        );
         let rays = self.rays.reduced(MODEL_LEVEL);
         self.model = Some(raycast::raycast(
             &self.volume,
             rays,
             depth,
             &world_from_camera,
-            range,
+            self.params.depth_range(),
         ));
         self.track = self
             .track
             .moved_to(world_from_camera, time_secs, self.n_fused > 0);
         self.n_fused += 1;
     }
+
+    /// Keeps the frame that was just fused for closing loops.
+    fn remember(&mut self, depth: &Image<f32>) {
+        self.keyframes.offer(
+            depth,
+            self.params.depth_max_m as f32,
+            self.track.time_secs,
+            &self.track.world_from_camera,
+            self.stretch,
+        );
+    }
+}
+
+/// Fuses a clipped depth image with its filtered vertex map.
+fn integrate_frame(
+    volume: &mut TsdfVolume,
+    depth: &Image<f32>,
+    map: &VertexMap,
+    eye: &Eye,
+    world_from_camera: &Pose,
+) {
+    let observations = integrate::observe(depth, map, eye.noise);
+    let rays = eye.rays.full();
+    let band = integrate::blocks_in_band(volume, &observations, rays, world_from_camera);
+    integrate::integrate(
+        volume,
+        &band,
+        &observations,
+        rays.camera(),
+        world_from_camera,
+    );
 }
 
 impl Track {

@@ -1,6 +1,9 @@
 //! What fusion needs to know, and the bounds of it.
 
 use super::icp::IcpParams;
+use super::loop_closing::LoopClosingParams;
+use super::raycast::DepthRange;
+use super::volume::TsdfVolume;
 use serde::{Deserialize, Serialize};
 
 /// What fusion needs to know; distances in metres.
@@ -32,6 +35,8 @@ pub struct FusionParams {
     pub max_rotation_rad_per_s: f64,
     /// A faster move is not believed, metres per second.
     pub max_speed_m_per_s: f64,
+    /// Closing loops at the end of the scan.
+    pub loop_closing: LoopClosingParams,
 }
 
 impl Default for FusionParams {
@@ -49,6 +54,7 @@ impl Default for FusionParams {
             min_conditioning: 1e-4,
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
+            loop_closing: LoopClosingParams::default(),
         }
     }
 }
@@ -103,6 +109,30 @@ impl FusionParams {
             0.01,
             1.57,
         )?;
-        within("icp.sdf_iterations", icp.sdf_iterations as f64, 1.0, 100.0)
+        within("icp.sdf_iterations", icp.sdf_iterations as f64, 1.0, 100.0)?;
+        self.loop_closing.validate(within)
+    }
+
+    /// Distance at which signed distances are cut off, metres.
+    pub(super) fn truncation_m(&self) -> f64 {
+        self.voxel_size_m * self.truncation_voxels
+    }
+
+    /// A volume in which nothing is fused yet.
+    pub(super) fn empty_volume(&self) -> TsdfVolume {
+        TsdfVolume::new(self.voxel_size_m as f32, self.truncation_m() as f32)
+    }
+
+    /// A volume for a fragment: voxels twice as large, for its surface serves alignment alone.
+    pub(super) fn fragment_volume(&self) -> TsdfVolume {
+        TsdfVolume::new(2.0 * self.voxel_size_m as f32, self.truncation_m() as f32)
+    }
+
+    /// The working range.
+    pub(super) fn depth_range(&self) -> DepthRange {
+        DepthRange {
+            near_m: self.depth_min_m as f32,
+            far_m: self.depth_max_m as f32,
+        }
     }
 }

@@ -6,7 +6,7 @@ use depth_camera::{DepthCamera, Frame, Image, Sensor};
 use simulated::SimulatedCamera;
 use std::time::Duration;
 
-fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
+pub(super) fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
     let mut camera = SimulatedCamera::kinect2_plaque(60, 3);
     let model = CameraModel::new(camera.info().intrinsics);
     // The simulator's world is its table; ours is the first camera.
@@ -25,13 +25,18 @@ fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
     (frames, truth, model)
 }
 
-fn fusion(camera: CameraModel) -> Fusion {
-    let params = FusionParams {
+/// Voxels large enough for debug builds.
+pub(super) fn small_params() -> FusionParams {
+    FusionParams {
         voxel_size_m: 0.004,
         depth_max_m: 1.5,
         ..FusionParams::default()
-    };
-    Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params)
+    }
+}
+
+fn fusion(camera: CameraModel) -> Fusion {
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    Fusion::new(camera, noise, small_params())
 }
 
 fn fuse(fusion: &mut Fusion, frame: &Frame) -> TrackingOutcome {
