@@ -88,7 +88,7 @@ pub struct LoopClosure {
     pub n_fragments: usize,
     /// Pairs of fragments that see one surface, other than neighbours in time.
     pub n_loops: usize,
-    /// Distance of the fragments to the fused surface as tracked, root mean square, metres.
+    /// Mean distance of the fragments to the fused surface as tracked, metres.
     pub misfit_before_m: f64,
     /// The same with all poses moved.
     pub misfit_after_m: f64,
@@ -111,6 +111,8 @@ const PAIR_SIGMA_M: f64 = 0.001;
 /// believe in less motion: with a tenth of these, the recorded full turn keeps 1 mm more of its error.
 const DRIFT_SIGMA_M: f64 = 0.02;
 const DRIFT_SIGMA_RAD: f64 = 0.03;
+/// What is left of that information where tracking was lost and found in between: ten times the drift.
+const BROKEN_TRUST: f64 = 0.01;
 /// A pair that the others contradict by more than this is doubted.
 const KERNEL_SIGMAS: f64 = 5.0;
 
@@ -190,28 +192,28 @@ fn fuse_again(
     volume
 }
 
-/// Root mean square distance of the fragments' points to the surface of a volume, where it knows one.
+/// Mean distance of the fragments' points to the surface of a volume, where it knows one, metres.
 fn misfit_m(fragments: &[Fragment], world_from_anchors: &[Pose], volume: &TsdfVolume) -> f64 {
     let sums: Vec<(f64, usize)> = fragments
         .par_iter()
         .zip(world_from_anchors)
         .map(|(fragment, world_from_anchor)| {
-            let (mut square, mut n_points) = (0.0, 0);
+            let (mut sum, mut n_points) = (0.0, 0);
             for point in fragment.points() {
                 let point_world = world_from_anchor * Point3::from(point.cast::<f64>());
                 let sample = volume.sample_with_gradient(&point_world.coords.cast());
                 if let Some((distance, _)) = sample {
-                    square += f64::from(distance) * f64::from(distance);
+                    sum += f64::from(distance.abs());
                     n_points += 1;
                 }
             }
-            (square, n_points)
+            (sum, n_points)
         })
         .collect();
-    let (square, n_points) = sums
+    let (sum, n_points) = sums
         .iter()
         .fold((0.0, 0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
-    (square / n_points.max(1) as f64).sqrt()
+    sum / n_points.max(1) as f64
 }
 
 /// Two fragments and how they stand to one another.
@@ -239,19 +241,21 @@ impl Pair {
     }
 }
 
-/// What tracking says of neighbours.
+/// What tracking says of neighbours; between them it may have been lost and found.
 fn drift_edges(frames: &[Keyframe], fragments: &[Fragment], tracked: &[Pose]) -> Vec<Edge> {
     let (turn, shift) = (DRIFT_SIGMA_RAD.powi(-2), DRIFT_SIGMA_M.powi(-2));
     let information = Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift));
     let stretch = |fragment: &Fragment| frames[fragment.anchor].stretch;
     (1..fragments.len())
-        .filter(|&k| stretch(&fragments[k]) == stretch(&fragments[k - 1]))
-        .map(|k| Edge {
-            from: k,
-            to: k - 1,
-            to_from_from: tracked[k - 1].inverse() * tracked[k],
-            information,
-            kernel_sigmas: f64::INFINITY,
+        .map(|k| {
+            let is_unbroken = stretch(&fragments[k]) == stretch(&fragments[k - 1]);
+            Edge {
+                from: k,
+                to: k - 1,
+                to_from_from: tracked[k - 1].inverse() * tracked[k],
+                information: information * if is_unbroken { 1.0 } else { BROKEN_TRUST },
+                kernel_sigmas: f64::INFINITY,
+            }
         })
         .collect()
 }
