@@ -2,12 +2,15 @@
 //!
 //! One depth image after the other is aligned to the model and fused into it. The model's frame, `world`, is the camera
 //! frame of the first image. When in doubt a frame is not fused: [`TrackingOutcome::Lost`] stops integration until a later
-//! frame fits the model again from the last good pose.
+//! frame fits the model again from the last good pose, or two frames from a place where the camera has been.
 //!
-//! Not handled here: relocalising after a jump, moving objects.
+//! Not handled here: moving objects.
 
+#[cfg(test)]
+mod bench_tests;
 mod fragment_alignment;
 mod fragments;
+mod gates;
 mod icp;
 mod integrate;
 mod keyframes;
@@ -20,6 +23,7 @@ mod pose_correction;
 mod pose_graph;
 mod preprocess;
 mod raycast;
+mod relocalise;
 #[cfg(test)]
 mod tests;
 mod volume;
@@ -36,6 +40,7 @@ use depth_camera::Image;
 use keyframes::Keyframes;
 use nalgebra::Vector6;
 use preprocess::{FramePyramid, PyramidRays, VertexMap};
+use relocalise::{Hypothesis, Places};
 use serde::Serialize;
 use volume::TsdfVolume;
 
@@ -70,6 +75,10 @@ pub enum LossReason {
         /// Distance from the last good pose, metres.
         translation_m: f64,
     },
+    /// A place was found where the frame may have been taken; the next one has to confirm it.
+    Unconfirmed,
+    /// After an interruption the frame does not show what the model shows from where it seems to be.
+    Elsewhere,
 }
 
 /// What became of a frame.
@@ -96,6 +105,7 @@ const MODEL_LEVEL: usize = 1;
 const MAX_PREDICTION_SECS: f64 = 0.12;
 
 /// The model and the camera's place in it.
+#[derive(Clone)]
 pub struct Fusion {
     params: FusionParams,
     noise: DepthNoise,
@@ -107,6 +117,12 @@ pub struct Fusion {
     keyframes: Keyframes,
     /// Number of the stretch of unbroken tracking.
     stretch: usize,
+    places: Places,
+    /// Where the frame before may have been taken, if it was lost.
+    hypothesis: Option<(Hypothesis, Track)>,
+    n_relocalised: usize,
+    /// Whether the frame before was not tracked.
+    is_interrupted: bool,
 }
 
 /// What turns a depth image into measurements.
@@ -140,6 +156,10 @@ impl Fusion {
             n_fused: 0,
             keyframes: Keyframes::new(params.loop_closing.max_memory_mb << 20),
             stretch: 0,
+            places: Places::default(),
+            hypothesis: None,
+            n_relocalised: 0,
+            is_interrupted: false,
             params,
         }
     }
@@ -148,30 +168,31 @@ impl Fusion {
     pub fn fuse(&mut self, depth: &Image<f32>, time_secs: f64) -> TrackingOutcome {
         let Some((depth, pyramid)) = self.prepare(depth) else {
             self.track.velocity = Vector6::zeros();
+            self.hypothesis = None;
+            self.is_interrupted = true;
             return TrackingOutcome::NoDepth;
         };
         let Some(model) = &self.model else {
             self.accept(&depth, &pyramid, Pose::identity(), time_secs);
-            self.remember(&depth);
+            self.remember(&depth, &pyramid);
             return TrackingOutcome::Tracked {
                 world_from_camera: Pose::identity(),
                 fit: None,
             };
         };
-        match self.locate(&pyramid, model, time_secs) {
+        let tracked = self
+            .locate(&pyramid, model, &self.track, time_secs)
+            .and_then(|found| self.resume(found, &pyramid));
+        match tracked.or_else(|reason| self.confirm(&pyramid, time_secs).ok_or(reason)) {
             Ok((world_from_camera, fit)) => {
                 self.accept(&depth, &pyramid, world_from_camera, time_secs);
-                self.remember(&depth);
+                self.remember(&depth, &pyramid);
                 TrackingOutcome::Tracked {
                     world_from_camera,
                     fit: Some(fit),
                 }
             }
-            Err(reason) => {
-                self.track.velocity = Vector6::zeros();
-                self.stretch = self.n_fused;
-                TrackingOutcome::Lost(reason)
-            }
+            Err(reason) => TrackingOutcome::Lost(self.search(&pyramid, time_secs, reason)),
         }
     }
 
@@ -196,12 +217,8 @@ impl Fusion {
     /// out so far are then to be moved by [`LoopClosure::correction`], and no more frames can be tracked. `None`, and nothing
     /// is changed, if the camera never came back or its frames would not fit one another better.
     pub fn close_loops(&mut self) -> Option<LoopClosure> {
-        let eye = Eye {
-            rays: &self.rays,
-            noise: &self.noise,
-        };
         let frames = self.keyframes.frames();
-        let closure = loop_closing::find(frames, &eye, &self.params, &self.volume)?;
+        let closure = loop_closing::find(frames, &self.eye(), &self.params, &self.volume)?;
         self.volume = closure.volume;
         Some(closure.closure)
     }
@@ -214,6 +231,11 @@ impl Fusion {
     /// Number of frames in the model.
     pub fn n_fused(&self) -> usize {
         self.n_fused
+    }
+
+    /// How often a lost camera was found in another place than it was lost at.
+    pub fn n_relocalised(&self) -> usize {
+        self.n_relocalised
     }
 
     /// Bytes held by the volume.
@@ -240,21 +262,23 @@ impl Fusion {
         Some((depth, pyramid))
     }
 
+    /// Aligns a frame to the model as seen from the pose of a track, and judges the result.
     fn locate(
         &self,
         pyramid: &FramePyramid,
         model: &ModelMap,
+        track: &Track,
         time_secs: f64,
     ) -> Result<(Pose, Fit), LossReason> {
-        let elapsed = time_secs - self.track.time_secs;
-        let predicted = increment(&(self.track.velocity * elapsed.clamp(0.0, MAX_PREDICTION_SECS)));
+        let elapsed = time_secs - track.time_secs;
+        let predicted = increment(&(track.velocity * elapsed.clamp(0.0, MAX_PREDICTION_SECS)));
         let target = icp::Model {
             map: model,
             map_camera: self.rays.reduced(MODEL_LEVEL).camera(),
-            world_from_camera: &self.track.world_from_camera,
+            world_from_camera: &track.world_from_camera,
             volume: &self.volume,
         };
-        let guess = self.track.world_from_camera * predicted;
+        let guess = track.world_from_camera * predicted;
         let (pose, fit) = icp::align(
             &pyramid.reduced,
             &target,
@@ -263,44 +287,71 @@ impl Fusion {
             &self.params.icp,
         )
         .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
-        self.judge(&pose, &fit, pyramid, elapsed)?;
+        gates::judge_fit(&fit, pyramid, &self.noise, &self.params)?;
+        let motion = motion_between(&track.world_from_camera, &pose);
+        gates::judge_motion(&motion, elapsed, &self.params)?;
         Ok((pose, fit))
     }
 
-    fn judge(
+    /// After an interruption the camera may be elsewhere: a pose is then believed as one that was searched for.
+    fn resume(
         &self,
-        pose: &Pose,
-        fit: &Fit,
+        (pose, fit): (Pose, Fit),
         pyramid: &FramePyramid,
-        elapsed: f64,
-    ) -> Result<(), LossReason> {
-        let motion = motion_between(&self.track.world_from_camera, pose);
-        // A frame later than a tenth of a second ago does not entitle to a longer jump.
-        let elapsed = elapsed.clamp(1.0 / 60.0, 0.1);
-        let sigma_m = self.noise.sigma_m(median_depth(pyramid)) as f64;
-        if fit.inlier_share < self.params.min_inlier_share {
-            Err(LossReason::FewInliers {
-                inlier_share: fit.inlier_share,
-            })
-        } else if fit.see_through_share > self.params.max_see_through_share {
-            Err(LossReason::SeeThrough {
-                share: fit.see_through_share,
-            })
-        } else if fit.rmse_m > self.params.max_rmse_sigmas * sigma_m {
-            Err(LossReason::LargeResidual { rmse_m: fit.rmse_m })
-        } else if fit.conditioning < self.params.min_conditioning {
-            Err(LossReason::FlatScene {
-                conditioning: fit.conditioning,
-            })
-        } else if motion.rotation_rad > self.params.max_rotation_rad_per_s * elapsed
-            || motion.translation_m > self.params.max_speed_m_per_s * elapsed
-        {
-            Err(LossReason::Jump {
-                rotation_rad: motion.rotation_rad,
-                translation_m: motion.translation_m,
-            })
-        } else {
-            Ok(())
+    ) -> Result<(Pose, Fit), LossReason> {
+        if !self.is_interrupted {
+            return Ok((pose, fit));
+        }
+        relocalise::believe(
+            &pose,
+            &fit,
+            pyramid,
+            &self.volume,
+            &self.eye(),
+            &self.params,
+        )
+        .map(|_| (pose, fit))
+        .ok_or(LossReason::Elsewhere)
+    }
+
+    fn eye(&self) -> Eye<'_> {
+        Eye {
+            rays: &self.rays,
+            noise: &self.noise,
+        }
+    }
+
+    /// Tracks from the place that the frame before was found at, if there is one.
+    fn confirm(&mut self, pyramid: &FramePyramid, time_secs: f64) -> Option<(Pose, Fit)> {
+        let (hypothesis, track) = self.hypothesis.take()?;
+        let found = self
+            .locate(pyramid, &hypothesis.model, &track, time_secs)
+            .ok()?;
+        self.n_relocalised += 1;
+        // The new stretch of path is no motion from where tracking was lost.
+        self.track = track;
+        Some(found)
+    }
+
+    /// Looks for a lost frame in the whole model; tells why it is not fused.
+    fn search(&mut self, pyramid: &FramePyramid, time_secs: f64, reason: LossReason) -> LossReason {
+        self.track.velocity = Vector6::zeros();
+        self.stretch = self.n_fused;
+        self.is_interrupted = true;
+        let found = self
+            .places
+            .relocalise(pyramid, &self.volume, &self.eye(), &self.params);
+        self.hypothesis = found.map(|hypothesis| {
+            let track = Track {
+                world_from_camera: hypothesis.world_from_camera,
+                time_secs,
+                velocity: Vector6::zeros(),
+            };
+            (hypothesis, track)
+        });
+        match self.hypothesis {
+            Some(_) => LossReason::Unconfirmed,
+            None => reason,
         }
     }
 
@@ -336,8 +387,11 @@ impl Fusion {
         self.n_fused += 1;
     }
 
-    /// Keeps the frame that was just fused for closing loops.
-    fn remember(&mut self, depth: &Image<f32>) {
+    /// Keeps the frame that was just fused for closing loops and for finding back.
+    fn remember(&mut self, depth: &Image<f32>, pyramid: &FramePyramid) {
+        self.hypothesis = None;
+        self.is_interrupted = false;
+        self.places.visit(pyramid, &self.track.world_from_camera);
         self.keyframes.offer(
             depth,
             self.params.depth_max_m as f32,
@@ -384,21 +438,4 @@ impl Track {
             velocity,
         }
     }
-}
-
-/// Median depth of the coarsest level, metres.
-fn median_depth(pyramid: &FramePyramid) -> f32 {
-    let coarsest = &pyramid.reduced[preprocess::N_REDUCED - 1];
-    let mut depths: Vec<f32> = coarsest
-        .points
-        .data()
-        .iter()
-        .map(|p| p.z)
-        .filter(|z| *z > 0.0)
-        .collect();
-    if depths.is_empty() {
-        return 1.0;
-    }
-    let middle = depths.len() / 2;
-    *depths.select_nth_unstable_by(middle, f32::total_cmp).1
 }

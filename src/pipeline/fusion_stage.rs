@@ -55,6 +55,8 @@ pub struct FusionSummary {
     pub n_fused: u64,
     /// Frames during which tracking was lost.
     pub n_lost: u64,
+    /// How often a lost camera was found in another place than it was lost at.
+    pub n_relocalised: u64,
     /// Frames without depth.
     pub n_without_depth: u64,
     /// When tracking was lost.
@@ -254,6 +256,7 @@ impl FusionStage {
     fn finish(mut self) -> FusionSummary {
         let mut closing_clock = StageClock::new("loop closing");
         let mut meshing_clock = StageClock::new("mesh extraction");
+        self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
         if self.summary.n_fused > 0 {
             self.status.update(|status| status.phase = Phase::Meshing);
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
