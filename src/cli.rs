@@ -2,10 +2,12 @@
 //! the end in [`summary`].
 
 pub mod bench;
+pub mod calibrate;
 pub mod run;
 pub mod summary;
 
 use anyhow::{Context, bail, ensure};
+use calibrate::CalibrateCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use depth_camera::Sensor;
 use nalgebra::Point3;
@@ -37,6 +39,9 @@ pub enum Command {
     Demo(DemoArgs),
     /// Measure tracking and fusion on a recorded session
     Bench(BenchArgs),
+    /// Measure what the program has to know of a device
+    #[command(subcommand)]
+    Calibrate(CalibrateCommand),
 }
 
 impl Command {
@@ -45,6 +50,7 @@ impl Command {
         match self {
             Command::Replay(args) => args.json,
             Command::Bench(args) => args.json,
+            Command::Calibrate(command) => command.prints_json(),
             Command::Simulate(_) | Command::Demo(_) => false,
         }
     }

@@ -5,7 +5,7 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command, bench,
+    Cli, Command, bench, calibrate,
     run::{self, Verdict},
     summary,
 };
@@ -30,6 +30,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => run::simulate(args),
         Command::Demo(args) => run::demo(args, &progress),
         Command::Bench(args) => bench::bench(args),
+        Command::Calibrate(command) => calibrate::calibrate(command),
     };
     let verdict = ran.unwrap_or_else(|error| {
         if prints_json {

@@ -180,7 +180,7 @@ impl Gatherer {
             return;
         };
         self.n_seen += 1;
-        if (self.n_seen - 1) % self.stride != 0 {
+        if !(self.n_seen - 1).is_multiple_of(self.stride) {
             return;
         }
         self.kept.push(ShadingSnapshot {

@@ -64,7 +64,7 @@ pub fn inverse_square(
         .fold([f64::MAX, 0.0f64], |[near, far], [log_d, _]| {
             [near.min(log_d.exp()), far.max(log_d.exp())]
         });
-    if !(range_m[1] >= MIN_RATIO * range_m[0]) {
+    if range_m[1] < MIN_RATIO * range_m[0] {
         return Err(Refusal::OneDistance {
             session: scan.name.clone(),
             range_m,

@@ -16,10 +16,13 @@
 //!
 //! Not handled: specular spheres, light that does not move with the camera, motion blur.
 
+mod depth_edges;
+mod edge_match;
 mod gather;
 mod interreflection;
 mod inverse_square;
 mod model;
+mod offset;
 mod outline;
 mod plane;
 mod refusal;
@@ -33,6 +36,7 @@ mod tests;
 
 pub use gather::{Gatherer, Scan, Target, TargetImage};
 pub use inverse_square::{InverseSquare, N_REGIONS, inverse_square};
+pub use offset::{ImageOffset, OffsetError, OffsetEstimate, combine_offsets, image_offset};
 pub use refusal::Refusal;
 pub use response::{INCIDENCES, INLIER, PowerLaw, ResponseCheck, SHARES, response_check};
 pub use sphere::{BallRadius, FoundSphere};

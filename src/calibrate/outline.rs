@@ -159,7 +159,7 @@ impl Profile {
             .map(|shift| self.misfit(shift, sensor))
             .collect();
         let best = (0..n_shifts).min_by(|a, b| misfits[*a].total_cmp(&misfits[*b]))?;
-        if best == 0 || best + 1 == n_shifts || !(misfits[best] < MAX_MISFIT) {
+        if best == 0 || best + 1 == n_shifts || misfits[best] >= MAX_MISFIT {
             return None;
         }
         let [before, at, after] = [best - 1, best, best + 1].map(|k| misfits[k].powi(2));
@@ -192,7 +192,7 @@ impl Profile {
         let scale = seen / mean(inner.map(|k| model(k).unwrap_or(0.0)));
         let step = model(limb as usize - PER_PIXEL / 2).unwrap_or(0.0) * scale - background;
         let least = MIN_STEP.max(MIN_STEP_SIGMAS * sensor.noise.sigma(seen));
-        if !(step.abs() > least) {
+        if step.is_nan() || step.abs() <= least {
             return f64::INFINITY;
         }
         let compared = window(-(INSIDE_PX as isize), OUTSIDE_PX as isize);

@@ -345,10 +345,13 @@ impl Estimate {
         Some(self.measured(self.state.session_start(session) + 2, sphere.radius_m))
     }
 
-    /// Log of the flat field for the ray (X/Z, Y/Z), over that of the optical axis.
-    pub fn log_flat(&self, x: f64, y: f64) -> Measured {
+    /// Log of the flat field and the lobe together for the ray (X/Z, Y/Z), over that of the optical axis: how a far wall
+    /// darkens, where light and camera see it from the same side. It is better known than either.
+    pub fn log_far_field(&self, x: f64, y: f64) -> Measured {
         let (start, map) = (self.state.flat_start(), &self.state.flat);
         let mut weights = DVector::zeros(self.covariance.nrows());
+        let log_cosine = -0.5 * (1.0 + x * x + y * y).ln();
+        weights[4] = log_cosine;
         for (index, weight) in map.grid.weights(x, y) {
             weights[start + index] += weight;
         }
@@ -356,7 +359,8 @@ impl Estimate {
             weights[start + index] -= weight;
         }
         Measured {
-            value: map.log_factor(x, y) - map.log_factor(0.0, 0.0),
+            value: map.log_factor(x, y) - map.log_factor(0.0, 0.0)
+                + self.state.light.lobe_power * log_cosine,
             sigma: (weights.dot(&(&self.covariance * &weights)))
                 .max(0.0)
                 .sqrt(),

@@ -5,10 +5,12 @@
 
 mod device;
 mod event;
+mod ir_offset;
 mod recorder;
 
 pub use device::{CaptureEnd, CaptureSummary, Delivery, run_device};
 pub use event::{Event, EventKind, Tracked};
+pub use ir_offset::IrOffset;
 pub use recorder::{Recorder, RecorderSummary};
 
 use serde::{Deserialize, Serialize};

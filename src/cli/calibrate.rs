@@ -1,311 +1,169 @@
-//! `relief calibrate response|flat-field|light`: gather the sessions, fit Eq. (1) to all of them, say what was found, and
-//! write what the command is for into the device's file.
+//! `relief calibrate`: what can be measured of a device, and what is asked for on the way.
 
-use super::{
-    TargetArgs,
-    calibrate_report::{self as report, Findings},
-    run::{Verdict, calibration_folder, session_name},
-};
+pub mod findings;
+pub mod offset;
+pub mod targets;
+
+use super::run::Verdict;
 use anyhow::{Context, bail, ensure};
-use depth_camera::{CameraInfo, DepthCamera};
-use nalgebra::Point3;
-use relief::{
-    calibrate::{
-        BallRadius, Estimate, Gatherer, InverseSquare, Priors, Refusal, Scan, Sensor, Target,
-        estimate, inverse_square, response_check,
-    },
-    config::{
-        self, CalibrationKey, CalibrationPlaces, DeviceCalibration, FoundCalibration,
-        MeasuredSession, Measurement, calibration_path, merge_into_file,
-    },
-    fusion::FusionParams,
-    geometry::{CameraModel, RayGrid},
-    shading::FlatField,
-};
-use replay::ReplayCamera;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-    time::{Duration, SystemTime},
-};
+use clap::{Args, Subcommand};
+use std::{path::PathBuf, str::FromStr};
+use targets::Aim;
 
-/// What a command is to find.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Aim {
-    /// The exponent of the response.
-    Response,
-    /// The lens's flat field and the light's lobe.
-    FlatField,
-    /// The light's place.
-    Light,
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum CalibrateCommand {
+    /// The exponent of the IR response, from a white sphere, better with a plain wall
+    Response(TargetArgs),
+    /// How lens and lobe darken the image, and the inverse square law, from a plain wall at several distances
+    FlatField(TargetArgs),
+    /// Where the light is, from sphere and wall together
+    Light(TargetArgs),
+    /// Where the IR image lies against the depth image, from silhouettes
+    Offset(OffsetArgs),
 }
 
-impl Aim {
-    /// The name on the command line.
-    pub fn name(self) -> &'static str {
+impl CalibrateCommand {
+    /// Whether standard output is for one JSON object.
+    pub fn prints_json(&self) -> bool {
         match self {
-            Aim::Response => "response",
-            Aim::FlatField => "flat-field",
-            Aim::Light => "light",
+            CalibrateCommand::Response(args)
+            | CalibrateCommand::FlatField(args)
+            | CalibrateCommand::Light(args) => args.json,
+            CalibrateCommand::Offset(_) => false,
         }
     }
-
-    /// How well the light's place is believed beforehand, metres: as stated by a maker, or as measured by eye.
-    fn light_sigma_m(self) -> f64 {
-        match self {
-            Aim::Response | Aim::FlatField => 0.003,
-            Aim::Light => 0.025,
-        }
-    }
-}
-
-/// How well the power of a lobe is believed beforehand: emitters lie between even and cos³.
-const LOBE_SIGMA: f64 = 1.5;
-
-/// The sessions of one device.
-struct Sessions {
-    info: CameraInfo,
-    serial: String,
-    scans: Vec<Scan>,
 }
 
 /// Runs a command.
-pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
-    let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
-    let sessions = gather(args)?;
-    let path = calibration_path(&folder, &sessions.serial)?;
-    let found = find(&sessions, &args.sessions, args.calibration.as_deref(), &folder)?;
-    require_targets(aim, &sessions.scans)?;
-
-    let rays = RayGrid::new(CameraModel::new(sessions.info.intrinsics));
-    let sensor = Sensor {
-        kind: sessions.info.sensor,
-        rays: &rays,
-        full_scale: sessions.info.ir_full_scale.context("the session has no infrared images")?,
-        noise: found.calibration.noise,
-    };
-    let priors = priors(aim, args, &sessions.info, &found)?;
-    let findings = investigate(aim, &sessions.scans, &sensor, priors, &found)?;
-    report::print(&findings, args.json)?;
-
-    let page = args.page.clone().unwrap_or_else(|| {
-        folder.join(format!("{}.{}.html", sessions.serial, aim.name()))
-    });
-    if !args.file.dry_run {
-        let report = write(&path, &findings, &sessions, args)?;
-        if let Some(kept) = &report.kept {
-            tracing::info!(kept = %kept.display(), "the file as it was is kept");
-        }
-        tracing::info!(path = %path.display(), "calibration written");
-    }
-    if !args.file.dry_run || args.page.is_some() {
-        report::write_page(&page, &findings, &sessions.serial, &sensor)?;
-        tracing::info!(page = %page.display(), "page written");
-    }
-    Ok(Verdict::Done)
-}
-
-/// Replays every session; all must be of one device.
-fn gather(args: &TargetArgs) -> anyhow::Result<Sessions> {
-    let radius = args.radius.map_or(BallRadius::Unknown, BallRadius::Given);
-    let mut infos: Vec<CameraInfo> = Vec::new();
-    let mut scans = Vec::new();
-    for session in &args.sessions {
-        let mut camera = ReplayCamera::open(session)?;
-        let info = camera.info().clone();
-        if let Some(first) = infos.first() {
-            check_same_device(first, &info, session, args.file.serial.is_some())?;
-        }
-        let mut gatherer = Gatherer::new(&info, FusionParams::default())
-            .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
-        loop {
-            match camera.grab(Duration::ZERO) {
-                Ok(Some(frame)) => gatherer.observe(&frame),
-                Ok(None) => break,
-                Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
-                Err(error) => return Err(error.into()),
-            }
-        }
-        let scan = gatherer.finish(&session_name(session), radius)?;
-        tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
-        infos.push(info);
-        scans.push(scan);
-    }
-    let info = infos.into_iter().next().context("no session is given")?;
-    let serial = args.file.serial.clone().unwrap_or_else(|| info.serial.clone());
-    Ok(Sessions {
-        info,
-        serial,
-        scans,
-    })
-}
-
-fn check_same_device(
-    first: &CameraInfo,
-    info: &CameraInfo,
-    session: &Path,
-    serial_is_given: bool,
-) -> anyhow::Result<()> {
-    ensure!(
-        info.sensor == first.sensor && info.intrinsics == first.intrinsics,
-        "{}: another camera than that of the first session",
-        session.display()
-    );
-    ensure!(
-        info.ir_full_scale == first.ir_full_scale && info.light == first.light,
-        "{}: another infrared scale or light than that of the first session",
-        session.display()
-    );
-    ensure!(
-        serial_is_given || info.serial == first.serial,
-        "{}: of device {}, the first session is of device {}; if they are one device, say which with --serial",
-        session.display(),
-        info.serial,
-        first.serial
-    );
-    Ok(())
-}
-
-fn find(
-    sessions: &Sessions,
-    folders: &[PathBuf],
-    given: Option<&Path>,
-    folder: &Path,
-) -> anyhow::Result<FoundCalibration> {
-    let info = CameraInfo {
-        serial: sessions.serial.clone(),
-        ..sessions.info.clone()
-    };
-    let places = CalibrationPlaces {
-        given,
-        folder,
-        session: folders.first().map(PathBuf::as_path),
-    };
-    Ok(config::find_calibration(&info, &places)?)
-}
-
-/// What a command cannot do without.
-fn require_targets(aim: Aim, scans: &[Scan]) -> anyhow::Result<()> {
-    let has_wall = scans.iter().any(|scan| scan.target == Target::Wall);
-    let has_sphere = scans.iter().any(|scan| scan.target != Target::Wall);
-    match aim {
-        Aim::Response if !has_sphere => bail!(
-            "no session shows a sphere, from which the response is measured; the sessions show walls only"
-        ),
-        Aim::FlatField if !has_wall => bail!(
-            "no session shows a plain wall, from which the flat field is measured; the sessions show spheres only"
-        ),
-        _ => Ok(()),
+///
+/// # Errors
+/// For sessions that cannot be read or learnt from, and a file that is not to be changed.
+pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
+    match command {
+        CalibrateCommand::Response(args) => targets::calibrate(Aim::Response, args),
+        CalibrateCommand::FlatField(args) => targets::calibrate(Aim::FlatField, args),
+        CalibrateCommand::Light(args) => targets::calibrate(Aim::Light, args),
+        CalibrateCommand::Offset(args) => offset::offset(args),
     }
 }
 
-fn priors(
-    aim: Aim,
-    args: &TargetArgs,
-    info: &CameraInfo,
-    found: &FoundCalibration,
-) -> anyhow::Result<Priors> {
-    let stated = info.light.context("the session states no light")?;
-    let mut light = found.calibration.light.near_light(&stated);
-    if let Some(start) = args.start {
-        light.position = Point3::from(start.0);
-    }
-    Ok(Priors {
-        light,
-        light_sigma_m: aim.light_sigma_m(),
-        lobe_sigma: LOBE_SIGMA,
-        flat_field: found.calibration.flat_field.clone(),
-    })
+/// Where a measurement goes.
+#[derive(Debug, Args)]
+pub struct FileArgs {
+    /// Folder of the calibrations named SERIAL.toml; "calibration" without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Serial number of the device; the session's without it
+    #[arg(long, value_name = "SERIAL")]
+    pub serial: Option<String>,
+    /// Replace an older measurement; the file as it was is kept beside it
+    #[arg(long)]
+    pub replace: bool,
+    /// Measure only
+    #[arg(long)]
+    pub dry_run: bool,
 }
 
-/// Fits everything, then looks at what the command is for.
-fn investigate<'a>(
-    aim: Aim,
-    scans: &'a [Scan],
-    sensor: &Sensor,
-    priors: Priors,
-    found: &FoundCalibration,
-) -> Result<Findings<'a>, Refusal> {
-    let whole = estimate(scans, sensor, &priors)?;
-    let spheres: Vec<Scan> = scans
-        .iter()
-        .filter(|scan| scan.target != Target::Wall)
-        .cloned()
-        .collect();
-    // What the spheres say by themselves tests the inverse square law, which the whole fit takes for granted.
-    let spheres_alone: Option<Estimate> = match spheres.len() {
-        0 => None,
-        n if n == scans.len() => None,
-        _ => Some(estimate(&spheres, sensor, &priors)?),
-    };
-    let mut responses = Vec::new();
-    let mut distances: Vec<(usize, InverseSquare)> = Vec::new();
-    for (index, scan) in scans.iter().enumerate() {
-        match scan.target {
-            Target::Wall => match inverse_square(scans, index, sensor, &whole) {
-                Ok(law) => distances.push((index, law)),
-                Err(refusal) if aim == Aim::FlatField => return Err(refusal),
-                Err(refusal) => tracing::warn!(%refusal, "inverse square law not checked"),
-            },
-            Target::Sphere(_) => {
-                responses.push((index, response_check(scans, index, sensor, &whole)?));
-            }
-        }
-    }
-    Ok(Findings {
-        aim,
-        scans,
-        estimate: whole,
-        spheres_alone,
-        responses,
-        distances,
-        priors,
-        known_gamma: found.calibration.gamma,
-        gamma_origin: found.origins[&CalibrationKey::Gamma].to_string(),
-    })
+/// `relief calibrate response`, `flat-field` and `light`.
+#[derive(Debug, Args)]
+pub struct TargetArgs {
+    /// Folders of the sessions, all of one device; what each shows is found out
+    #[arg(required = true)]
+    pub sessions: Vec<PathBuf>,
+    /// Radius of the sphere, metres, if it was measured
+    #[arg(long, value_name = "M")]
+    pub radius: Option<RadiusArg>,
+    /// Where to look for the light from, IR camera frame, metres; the session's statement without it
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub start: Option<PlaceArg>,
+    /// Calibration to start from: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// File of the page; CALIBRATION_DIR/SERIAL.COMMAND.html without it
+    #[arg(long, value_name = "FILE")]
+    pub page: Option<PathBuf>,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+    /// Where the measurement goes
+    #[command(flatten)]
+    pub file: FileArgs,
 }
 
-/// Merges what the command is for into the device's file.
-fn write(
-    path: &Path,
-    findings: &Findings,
-    sessions: &Sessions,
-    args: &TargetArgs,
-) -> anyhow::Result<config::MergeReport> {
-    let measured_sessions = args
-        .sessions
-        .iter()
-        .map(|session| {
-            Ok(MeasuredSession {
-                name: session_name(session),
-                content: replay::content_hash(session)?,
-            })
-        })
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    let mut device = DeviceCalibration::new(sessions.serial.clone(), sessions.info.sensor);
-    let state = &findings.estimate.state;
-    let mut keys = Vec::new();
-    match findings.aim {
-        Aim::Response => {
-            device.gamma = Some(state.gamma);
-            keys.push(CalibrationKey::Gamma);
+/// `relief calibrate offset`.
+#[derive(Debug, Args)]
+pub struct OffsetArgs {
+    /// Folder of the session, as the device delivered it
+    pub session: PathBuf,
+    /// Where the measurement goes
+    #[command(flatten)]
+    pub file: FileArgs,
+}
+
+/// The radius of a sphere, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RadiusArg(pub f64);
+
+impl FromStr for RadiusArg {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let radius: f64 = text
+            .parse()
+            .with_context(|| format!("\"{text}\" is no number"))?;
+        ensure!(
+            (0.03..=0.4).contains(&radius),
+            "{radius} must be 0.03 to 0.4"
+        );
+        Ok(RadiusArg(radius))
+    }
+}
+
+/// A place near the camera as three numbers, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaceArg(pub [f64; 3]);
+
+impl FromStr for PlaceArg {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let mut numbers = Vec::new();
+        for number in text.split(',') {
+            let value: f64 = number
+                .trim()
+                .parse()
+                .with_context(|| format!("\"{number}\" is no number"))?;
+            ensure!(value.abs() <= 2.0, "{value} must be -2 to 2");
+            numbers.push(value);
         }
-        Aim::FlatField => {
-            device.flat_field = Some(FlatField::Spline(state.flat.clone()));
-            device.light.lobe_power = Some(state.light.lobe_power);
-            keys.extend([CalibrationKey::FlatField, CalibrationKey::LightLobePower]);
-        }
-        Aim::Light => {
-            device.light.position_m = Some(findings.believed_position().into());
-            device.light.lobe_power = Some(state.light.lobe_power);
-            keys.extend([CalibrationKey::LightPosition, CalibrationKey::LightLobePower]);
+        match numbers[..] {
+            [x, y, z] => Ok(PlaceArg([x, y, z])),
+            _ => bail!("{} numbers, must be 3", numbers.len()),
         }
     }
-    let time = SystemTime::now();
-    for key in keys {
-        let figures: BTreeMap<String, f64> = findings.figures(key);
-        let measurement = Measurement::new(time, measured_sessions.clone(), figures);
-        device.measured.insert(key, measurement);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_and_radii_are_checked() {
+        assert_eq!(
+            "0.1, -0.07,0".parse::<PlaceArg>().unwrap().0,
+            [0.1, -0.07, 0.0]
+        );
+        for (text, message) in [
+            ("0.1,0.2", "2 numbers, must be 3"),
+            ("0,0,3", "3 must be -2 to 2"),
+            ("a,0,0", "\"a\" is no number"),
+        ] {
+            assert_eq!(text.parse::<PlaceArg>().unwrap_err().to_string(), message);
+        }
+        assert_eq!(
+            "12".parse::<RadiusArg>().unwrap_err().to_string(),
+            "12 must be 0.03 to 0.4"
+        );
     }
-    Ok(merge_into_file(path, &device, args.file.replace)?)
 }

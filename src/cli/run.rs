@@ -184,7 +184,7 @@ pub fn simulate(args: &SimulateArgs) -> anyhow::Result<Verdict> {
 }
 
 /// The folder of calibrations named by serial number.
-fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBuf {
+pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBuf {
     match (given, config.and_then(Path::parent)) {
         (Some(given), _) => given.to_owned(),
         (None, Some(folder)) => folder.join("calibration"),
@@ -211,7 +211,7 @@ fn calibration_warnings(found: &FoundCalibration, info: &CameraInfo) -> Vec<Stri
 }
 
 /// The name of the session's folder.
-pub(super) fn session_name(session: &Path) -> String {
+pub fn session_name(session: &Path) -> String {
     let absolute = session.canonicalize();
     let path = absolute.as_deref().unwrap_or(session);
     let name = path.file_name().unwrap_or(path.as_os_str());

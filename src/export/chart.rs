@@ -134,19 +134,22 @@ fn frame(
     }
 }
 
-fn nothing() -> Markup {
+/// What stands in place of a chart without numbers.
+pub(super) fn nothing() -> Markup {
     html! { p class="quiet" { "There is nothing to draw." } }
 }
 
-fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+/// The least and the greatest of some numbers.
+pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.fold(None, |range, x| match range {
         None => Some((x, x)),
         Some((low, high)) => Some((x.min(low), x.max(high))),
     })
 }
 
-/// Ticks between two powers of ten: decades, or 1-2-5, or round numbers where even those are too far apart.
-fn log_ticks(low: f64, high: f64) -> Vec<f64> {
+/// Ticks between two powers of ten, given by their exponents: decades, or 1-2-5, or round numbers where even those are too
+/// far apart.
+pub(super) fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     let every = ((high - low) / 6.0).ceil().max(1.0) as i32;
     let ticks = |mantissas: &[f64], every: i32| {
         let powers =
@@ -167,7 +170,7 @@ fn log_ticks(low: f64, high: f64) -> Vec<f64> {
 }
 
 /// Round numbers between two numbers, about so many, in steps of 1, 2 or 5 times a power of ten.
-fn linear_ticks(low: f64, high: f64, about: usize) -> Vec<f64> {
+pub(super) fn linear_ticks(low: f64, high: f64, about: usize) -> Vec<f64> {
     let rough = (high - low) / about as f64;
     let power = 10f64.powf(rough.log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|m| m * power);

@@ -1,4 +1,5 @@
-//! What a scan leaves behind: meshes (PLY, GLB), the trajectory, the shading images, pictures, and the report.
+//! What a scan leaves behind: meshes (PLY, GLB), the trajectory, the shading images, pictures, and the report; and what a
+//! calibration leaves: its page.
 //!
 //! Every writer goes through [`write_atomically`]: a file stands under its final name whole or not at all. Lengths are
 //! metres and the frame is `world` (the first camera: x right, y down, z forward), except that the scene of a GLB is turned
@@ -21,20 +22,33 @@ mod snapshots;
 mod views;
 
 mod chart;
+mod page;
 mod report;
 mod report_format;
 mod report_html;
 mod report_refinement;
 mod report_sections;
 
+mod calibration_distance;
+mod calibration_flat_field;
+mod calibration_page;
+mod calibration_response;
+mod calibration_sections;
+mod colour_scale;
+mod scatter;
+
 pub use atomic::write_atomically;
+pub use calibration_page::{
+    CalibrationPage, CalibrationResult, CalibrationSession, DistanceFigure, FlatFieldFigure,
+    ResponseFigure, write_calibration_page,
+};
 pub use error::ExportError;
 pub use glb::write_glb;
 pub use material::PhongParams;
 pub use picture::phong;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
-pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb};
+pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba};
 pub use report::{
     AlbedoShare, BaseMesh, FrameCounts, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
     RefinedView, Report, StageTiming, Tracking, write_report_json,

@@ -18,6 +18,16 @@ pub fn encode_png_rgb(image: &Image<[u8; 3]>) -> io::Result<Vec<u8>> {
     )
 }
 
+/// Encodes an sRGB picture with opacity (255 is opaque).
+///
+/// # Errors
+/// If the image has no pixels.
+pub fn encode_png_rgba(image: &Image<[u8; 4]>) -> io::Result<Vec<u8>> {
+    let bytes = image.data().as_flattened();
+    let format = (ColorType::Rgba, BitDepth::Eight);
+    encode(image.width(), image.height(), format, bytes)
+}
+
 /// Encodes an 8-bit grey image.
 ///
 /// # Errors
@@ -80,6 +90,11 @@ mod tests {
         assert_eq!(
             decode(encode_png_rgb(&rgb).unwrap()).2,
             [1, 2, 3, 250, 251, 252]
+        );
+        let rgba = Image::from_vec(1, 2, vec![[1u8, 2, 3, 0], [4, 5, 6, 255]]);
+        assert_eq!(
+            decode(encode_png_rgba(&rgba).unwrap()).2,
+            [1, 2, 3, 0, 4, 5, 6, 255]
         );
         assert!(encode_png_grey8(&Image::from_vec(0, 0, vec![])).is_err());
     }

@@ -2,6 +2,7 @@
 
 use super::{
     Report,
+    page::figure,
     report_format::{area, change, count, duration, fixed, length, memory, percent},
     report_html::EncodedPictures,
 };
@@ -26,7 +27,8 @@ pub(super) fn heading(report: &Report) -> Markup {
     }
 }
 
-fn sensor_name(sensor: &str) -> &str {
+/// A sensor as people call it.
+pub(super) fn sensor_name(sensor: &str) -> &str {
     match sensor {
         "kinect1" => "Kinect I",
         "kinect2" => "Kinect II",
@@ -76,7 +78,7 @@ pub(super) fn not_refined(report: &Report) -> Markup {
 }
 
 /// Upper case at the beginning, a full stop at the end.
-fn sentence(text: &str) -> String {
+pub(super) fn sentence(text: &str) -> String {
     let mut chars = text.trim().chars();
     let first: String = chars
         .next()
@@ -162,10 +164,6 @@ pub(super) fn surface(report: &Report, pictures: &EncodedPictures) -> Markup {
             } }
         }
     }
-}
-
-fn figure(address: &str, caption: &str) -> Markup {
-    html! { figure { img src=(address) alt=(caption); figcaption { (caption) } } }
 }
 
 /// Small pictures of what the sensor saw.

@@ -4,7 +4,7 @@ use super::{
     edges::{FrameSender, RecordingSender},
     status::StopToken,
 };
-use crate::capture::{CaptureParams, CaptureSummary, Delivery, Tracked, run_device};
+use crate::capture::{CaptureParams, CaptureSummary, Delivery, IrOffset, Tracked, run_device};
 use crossbeam::channel::Sender;
 use depth_camera::DepthCamera;
 
@@ -14,8 +14,10 @@ pub struct DeviceSetup {
     pub camera: Box<dyn DepthCamera>,
     /// Its timeouts.
     pub capture: CaptureParams,
-    /// Whether the recorder gets the frames.
+    /// Whether the recorder gets the frames, as the camera delivers them.
     pub record: bool,
+    /// Where the camera's IR image lies; fusion gets frames without the offset.
+    pub ir_offset: IrOffset,
     /// Ends capture.
     pub stop: StopToken,
 }
@@ -42,7 +44,7 @@ pub fn run(
                 if setup.record {
                     recording.send(frame.clone());
                 }
-                frames.send(frame)
+                frames.send(setup.ir_offset.remove_from(frame))
             }
         },
     )

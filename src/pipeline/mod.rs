@@ -36,7 +36,7 @@ pub use output_folder::{OutputFolder, OutputFolderError};
 pub use status::{Phase, Status};
 
 use crate::{
-    capture::{CaptureParams, Recorder},
+    capture::{CaptureParams, IrOffset, Recorder},
     fusion::FusionParams,
     refine::{RefineParams, Roi},
     shading::Calibration,
@@ -219,6 +219,7 @@ fn device_setup(
         camera,
         capture: params.capture.clone(),
         record: params.record,
+        ir_offset: IrOffset::nearest(params.calibration.ir_offset_px),
         stop: watch.stop.clone(),
     }
 }

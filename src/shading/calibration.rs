@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 pub struct Calibration {
     /// Exponent of the response: observed = linear^gamma, both as shares of full scale.
     pub gamma: f64,
-    /// How far right of and below its place in the depth image a point lies in the IR image, pixels; Kinect I only.
+    /// How far right of and below its place in the depth image a point lies in the IR image, pixels; a raw Kinect I has
+    /// about (5, 4). The camera's intrinsics are those of the depth image.
     #[serde(default)]
     pub ir_offset_px: [f64; 2],
     /// How the lens darkens the image towards its corners.

@@ -1,6 +1,7 @@
 //! A recording with known truth through the real pipeline.
 
 use crate::support::{record, small_camera};
+use depth_camera::{DepthCamera, Image};
 use nalgebra::Isometry3;
 use relief::{
     capture::CaptureParams,
@@ -12,12 +13,12 @@ use relief::{
     shading::Calibration,
     snapshot::SnapshotParams,
 };
-use replay::ReplayCamera;
-use std::{fs, num::NonZeroUsize, path::Path};
+use replay::{ReplayCamera, SessionWriter};
+use std::{fs, num::NonZeroUsize, path::Path, time::Duration};
 
 const N_FRAMES: usize = 12;
 
-fn params(n_threads: usize) -> PipelineParams {
+fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
     PipelineParams {
         session: "plaque".to_owned(),
         capture: CaptureParams::default(),
@@ -32,7 +33,7 @@ fn params(n_threads: usize) -> PipelineParams {
             max_steps: 2,
             ..RefineParams::default()
         }),
-        calibration: Calibration::shipped(depth_camera::Sensor::Kinect2).unwrap(),
+        calibration,
         calibration_source: "shipped".to_owned(),
         roi: None,
         poses: None,
@@ -43,10 +44,15 @@ fn params(n_threads: usize) -> PipelineParams {
     }
 }
 
-fn run(session: &Path, out: &Path, n_threads: usize) -> Outcome {
+fn shipped() -> Calibration {
+    Calibration::shipped(depth_camera::Sensor::Kinect2).unwrap()
+}
+
+fn run(session: &Path, out: &Path, n_threads: usize, calibration: Calibration) -> Outcome {
     let camera = ReplayCamera::open(session).unwrap();
     let folder = OutputFolder::claim(out).unwrap();
-    let outcome = Pipeline::spawn(Box::new(camera), params(n_threads), folder)
+    let params = params(n_threads, calibration);
+    let outcome = Pipeline::spawn(Box::new(camera), params, folder)
         .unwrap()
         .join();
     assert_eq!(outcome.failures, Vec::<String>::new());
@@ -76,7 +82,7 @@ fn a_recording_becomes_meshes_and_a_report_the_same_on_any_number_of_threads() {
     let session = root.path().join("plaque");
     record(small_camera(N_FRAMES, 1), &session);
     let (two, one) = (root.path().join("two"), root.path().join("one"));
-    let outcome = run(&session, &two, 2);
+    let outcome = run(&session, &two, 2, shipped());
 
     let frames = outcome.report.frames;
     assert_eq!((frames.total, frames.fused), (12, 12));
@@ -104,9 +110,59 @@ fn a_recording_becomes_meshes_and_a_report_the_same_on_any_number_of_threads() {
     assert!(distance_m < 0.003, "{distance_m}");
     assert!(angle_rad < 0.8_f64.to_radians(), "{angle_rad}");
 
-    run(&session, &one, 1);
+    run(&session, &one, 1, shipped());
     for name in ["base.ply", "refined.ply", "trajectory.txt"] {
         let same = fs::read(one.join(name)).unwrap() == fs::read(two.join(name)).unwrap();
         assert!(same, "{name} depends on the number of threads");
     }
+}
+
+/// The recording again, with the IR image's content moved right and down.
+fn record_with_shifted_infrared(session: &Path, [right, down]: [usize; 2]) {
+    let mut camera = small_camera(N_FRAMES, 2);
+    let mut writer = SessionWriter::create(session, camera.info(), 5000.0).unwrap();
+    while let Some(mut frame) = camera.grab(Duration::ZERO).unwrap() {
+        let ir = frame.ir.take().unwrap();
+        let mut shifted = Image::filled(ir.width(), ir.height(), 0);
+        for v in down..ir.height() {
+            let row = &mut shifted.data_mut()[v * ir.width()..(v + 1) * ir.width()];
+            row[right..].copy_from_slice(&ir.row(v - down)[..ir.width() - right]);
+        }
+        frame.ir = Some(shifted);
+        writer.write(&frame).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_known_offset_of_the_infrared_image_changes_nothing_but_its_border() {
+    let root = tempfile::tempdir().unwrap();
+    let offset = Calibration {
+        ir_offset_px: [5.0, 4.0],
+        ..shipped()
+    };
+    let mut meshes = Vec::new();
+    for (name, shift, calibration) in [("still", [0, 0], shipped()), ("shifted", [5, 4], offset)] {
+        let session = root.path().join(name);
+        record_with_shifted_infrared(&session, shift);
+        let out = root.path().join(format!("{name}-out"));
+        run(&session, &out, 2, calibration.clone());
+        // A recording keeps what the camera delivered, and what it takes to make the same of it again.
+        let again = root.path().join(format!("{name}-again"));
+        run(&out.join("session"), &again, 2, calibration.clone());
+        let recorded = fs::read_to_string(out.join("session/calibration.toml")).unwrap();
+        assert_eq!(Calibration::from_toml(&recorded), Ok(calibration));
+        for name in ["base.ply", "refined.ply"] {
+            let same = fs::read(out.join(name)).unwrap() == fs::read(again.join(name)).unwrap();
+            assert!(same, "{name} of the recording differs");
+        }
+        meshes.push(read_ply(&out.join("refined.ply")).unwrap());
+    }
+    let [still, shifted] = &meshes[..] else {
+        panic!("two meshes");
+    };
+    assert_eq!(still.vertices.len(), shifted.vertices.len());
+    let pairs = still.vertices.iter().zip(&shifted.vertices);
+    let largest_m = pairs.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    assert!(largest_m < 1e-4, "{largest_m}");
 }

@@ -17,6 +17,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("refine", &["geometry", "shading", "snapshot"]),
     ("export", &["geometry", "shading", "atomic_file"]),
+    ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("evaluate", &["geometry", "shading"]),
     (
         "config",

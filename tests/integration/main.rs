@@ -7,6 +7,7 @@ mod end_to_end;
 
 mod bad_input;
 mod bench;
+mod calibrate;
 mod signals;
 
 mod support;

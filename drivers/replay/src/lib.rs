@@ -12,11 +12,13 @@
 mod camera;
 mod session;
 
+mod content;
 mod lists;
 mod poses;
 mod sixteen_bit_png;
 mod writer;
 
 pub use camera::{Pacing, ReplayCamera};
+pub use content::content_hash;
 pub use poses::{TimedPose, read_poses};
 pub use writer::{SessionWriter, WriteError};

@@ -9,7 +9,7 @@ use std::{
 };
 
 use depth_camera::{CameraError, DepthCamera, Frame, Image};
-use replay::{Pacing, ReplayCamera, SessionWriter, WriteError, read_poses};
+use replay::{Pacing, ReplayCamera, SessionWriter, WriteError, content_hash, read_poses};
 use support::{play, tiny_camera, tiny_frame, write_tiny_session};
 
 #[test]
@@ -36,6 +36,25 @@ fn what_was_written_is_read_again() {
         }
         assert_eq!(depth.data()[3], 0.0);
     }
+}
+
+#[test]
+fn the_hash_is_that_of_the_contents_alone() {
+    let root = tempfile::tempdir().unwrap();
+    let [one, two] = ["a/session", "b/session"].map(|name| root.path().join(name));
+    write_tiny_session(&one);
+    write_tiny_session(&two);
+    fs::write(two.join("note.txt"), "by lamplight").unwrap();
+    let hash = content_hash(&one).unwrap();
+    assert_eq!(hash.len(), "sha256:".len() + 64);
+    assert_eq!(content_hash(&two), Ok(hash.clone()));
+
+    let list = fs::read_to_string(two.join("depth.txt")).unwrap();
+    let first = list.lines().find_map(|line| line.split_once(" depth/"));
+    let image = two.join("depth").join(first.unwrap().1);
+    fs::write(image, "another image").unwrap();
+    assert_ne!(content_hash(&two), Ok(hash));
+    assert!(content_hash(root.path()).is_err());
 }
 
 #[test]

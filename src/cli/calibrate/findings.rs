@@ -1,6 +1,7 @@
 //! What a calibration found: in words, as JSON, as figures for the device's file, and as a page.
 
-use super::calibrate::Aim;
+use super::targets::Aim;
+use depth_camera::Image;
 use nalgebra::Point3;
 use relief::{
     calibrate::{
@@ -13,7 +14,6 @@ use relief::{
         FlatFieldFigure, ResponseFigure,
     },
 };
-use depth_camera::Image;
 use serde_json::json;
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
@@ -49,7 +49,9 @@ impl Findings<'_> {
     /// Whether the data tell where the light is, by axis.
     fn axes_told(&self) -> [bool; 3] {
         let sigma_m = self.priors.light_sigma_m;
-        self.estimate.light_position().map(|axis| axis.sigma <= TELLING * sigma_m)
+        self.estimate
+            .light_position()
+            .map(|axis| axis.sigma <= TELLING * sigma_m)
     }
 
     /// The light's place, metres: as measured where the data tell, else as believed beforehand.
@@ -71,7 +73,7 @@ impl Findings<'_> {
                     value: self.known_gamma,
                     sigma: 0.0,
                 },
-                format!("{} ({})", self.known_gamma, self.gamma_origin),
+                format!("{:.4} ({})", self.known_gamma, self.gamma_origin),
             ),
         }
     }
@@ -114,13 +116,15 @@ impl Findings<'_> {
         figures
     }
 
-    /// Relative standard deviation of the flat field, over its grid and at its corners.
+    /// Relative standard deviation of lens and lobe together, over the flat field's grid and at its corners.
     fn flat_uncertainty(&self) -> (f64, f64) {
         const N: usize = 12;
         let grid = &self.estimate.state.flat.grid;
         let at = |[first, last]: [f64; 2], k: usize| first + (last - first) * k as f64 / N as f64;
         let sigma = |column: usize, row: usize| {
-            self.estimate.log_flat(at(grid.x, column), at(grid.y, row)).sigma
+            self.estimate
+                .log_far_field(at(grid.x, column), at(grid.y, row))
+                .sigma
         };
         let squares = (0..=N).flat_map(|row| (0..=N).map(move |column| sigma(column, row).powi(2)));
         let rms = (squares.sum::<f64>() / ((N + 1) * (N + 1)) as f64).sqrt();
@@ -182,13 +186,20 @@ impl Findings<'_> {
         if estimate.flat_is_measured {
             let (rms, corner) = self.flat_uncertainty();
             results.push(result(
-                "flat field",
-                format!("known to {:.2} %", rms * 100.0),
-                format!("RMS over the image, {:.2} % in the worst corner", corner * 100.0),
+                "flat field, lens and lobe together",
+                format!("known to {:.2} %", 196.0 * rms),
+                format!(
+                    "RMS over the image, {:.2} % in the worst corner",
+                    196.0 * corner
+                ),
             ));
         }
         let lobe = estimate.lobe_power();
-        results.push(result("light, lobe power", interval(&lobe, 1.0, 2), String::new()));
+        results.push(result(
+            "light, lobe power",
+            interval(&lobe, 1.0, 2),
+            String::new(),
+        ));
         results.extend(self.light_results());
         results
     }
@@ -243,7 +254,12 @@ impl Findings<'_> {
                     .to_owned(),
             );
         }
-        if self.estimate.lobe_correlations().iter().any(|c| c.abs() > INSEPARABLE) {
+        if self
+            .estimate
+            .lobe_correlations()
+            .iter()
+            .any(|c| c.abs() > INSEPARABLE)
+        {
             remarks.push(
                 "the light's place and its lobe can hardly be told apart by these sessions; a sphere beside the wall parts them"
                     .to_owned(),
@@ -278,7 +294,11 @@ impl Findings<'_> {
 
 /// Mean residual of the pixels that are lit most by their surroundings.
 fn interreflection_rise(check: &ResponseCheck) -> Option<f64> {
-    let most = check.residuals.iter().rev().find(|row| row.iter().any(Option::is_some))?;
+    let most = check
+        .residuals
+        .iter()
+        .rev()
+        .find(|row| row.iter().any(Option::is_some))?;
     let known: Vec<f64> = most.iter().flatten().copied().collect();
     Some(known.iter().sum::<f64>() / known.len() as f64)
 }
@@ -403,9 +423,18 @@ pub fn write_page(
         sessions: findings.sessions(),
         results: findings.results(),
         remarks: findings.remarks(),
-        response: findings.responses.first().map(|(_, check)| response_figure(findings, check)),
-        distance: findings.distances.first().map(|(_, law)| distance_figure(findings, law)),
-        flat_field: findings.estimate.flat_is_measured.then(|| flat_field_figure(findings, sensor)),
+        response: findings
+            .responses
+            .first()
+            .map(|(_, check)| response_figure(findings, check)),
+        distance: findings
+            .distances
+            .first()
+            .map(|(_, law)| distance_figure(findings, law)),
+        flat_field: findings
+            .estimate
+            .flat_is_measured
+            .then(|| flat_field_figure(findings, sensor)),
     };
     export::write_calibration_page(path, &page)
 }
@@ -444,13 +473,23 @@ fn flat_field_figure(findings: &Findings, sensor: &Sensor) -> FlatFieldFigure {
     let (mut factors, mut sigmas) = (Vec::new(), Vec::new());
     for pixel in 0..width * height {
         let [x, y] = rays.at(pixel % width * FLAT_STRIDE, pixel / width * FLAT_STRIDE);
-        let measured = findings.estimate.log_flat(f64::from(*x), f64::from(*y));
+        let measured = findings
+            .estimate
+            .log_far_field(f64::from(*x), f64::from(*y));
         let known = x.is_finite();
-        factors.push(if known { measured.value.exp() as f32 } else { f32::NAN });
-        sigmas.push(if known { measured.sigma as f32 } else { f32::NAN });
+        factors.push(if known {
+            measured.value.exp() as f32
+        } else {
+            f32::NAN
+        });
+        sigmas.push(if known {
+            measured.sigma as f32
+        } else {
+            f32::NAN
+        });
     }
     let [x, y] = rays.at(0, 0).map(f64::from);
-    let corner = findings.estimate.log_flat(x, y);
+    let corner = findings.estimate.log_far_field(x, y);
     FlatFieldFigure {
         factor: Image::from_vec(width, height, factors),
         sigma: Image::from_vec(width, height, sigmas),

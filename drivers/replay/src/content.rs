@@ -1,0 +1,51 @@
+//! What a session holds, as one number.
+
+use std::{fs, path::Path};
+
+use depth_camera::CameraError;
+use sha2::{Digest, Sha256};
+
+use crate::{
+    lists,
+    session::{self, invalid},
+};
+
+/// The hash of a session's description, lists and images, `sha256:` and 64 digits: the same for the same recording wherever
+/// it lies. Other files in the folder do not count, nor does an image that is listed but missing.
+///
+/// # Errors
+/// [`CameraError::Invalid`] for a description or list that cannot be read.
+pub fn content_hash(folder: &Path) -> Result<String, CameraError> {
+    let mut hash = Sha256::new();
+    let mut add = |name: &str, bytes: &[u8]| {
+        // Lengths keep the end of one file from being taken for the start of the next.
+        for part in [name.as_bytes(), bytes] {
+            hash.update((part.len() as u64).to_le_bytes());
+            hash.update(part);
+        }
+    };
+    for name in [session::FILE_NAME, "depth.txt", "ir.txt"] {
+        let path = folder.join(name);
+        if name == "ir.txt" && !path.exists() {
+            continue;
+        }
+        add(
+            name,
+            &fs::read(&path).map_err(|error| invalid(&path, error))?,
+        );
+        if name == session::FILE_NAME {
+            continue;
+        }
+        for entry in lists::read_list(&path)? {
+            if let Ok(bytes) = fs::read(folder.join(&entry.file_name)) {
+                add(&entry.file_name, &bytes);
+            }
+        }
+    }
+    let digits: String = hash
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    Ok(format!("sha256:{digits}"))
+}

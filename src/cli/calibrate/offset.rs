@@ -1,0 +1,160 @@
+//! `relief calibrate offset`: where the IR image lies against the depth image.
+
+use super::OffsetArgs;
+use crate::cli::run::{Verdict, calibration_folder, session_name};
+use anyhow::{Context, ensure};
+use depth_camera::{DepthCamera, Frame, Sensor};
+use relief::{
+    calibrate::{ImageOffset, OffsetEstimate, combine_offsets, image_offset},
+    config::{
+        CalibrationKey, DeviceCalibration, MeasuredSession, Measurement, calibration_path,
+        merge_into_file,
+    },
+    fusion::TrackingOutcome,
+    geometry::Pose,
+    snapshot::{SnapshotParams, SnapshotSelector, TrackedFrame},
+};
+use replay::ReplayCamera;
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    time::{Duration, SystemTime},
+};
+
+/// What a raw Kinect I is said to have, pixels.
+const NOMINAL_PX: [f64; 2] = [5.0, 4.0];
+
+/// `relief calibrate offset`.
+pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
+    let mut camera = ReplayCamera::open(&args.session)?;
+    let info = camera.info().clone();
+    let serial = args.file.serial.clone().unwrap_or(info.serial);
+    let path = calibration_path(
+        &calibration_folder(args.file.calibration_dir.as_deref(), None),
+        &serial,
+    )?;
+    let full_scale = info
+        .ir_full_scale
+        .context("the session has no infrared images")?;
+    let offsets = match info.sensor {
+        Sensor::Kinect1 => of_shading_images(&mut camera, full_scale)?,
+        Sensor::Kinect2 => of_every_frame(&mut camera, full_scale)?,
+    };
+    let estimate = combine_offsets(&offsets)?;
+    print(&estimate, info.sensor);
+    if args.file.dry_run {
+        return Ok(Verdict::Done);
+    }
+    let mut measured = DeviceCalibration::new(serial, info.sensor);
+    measured.ir_offset_px = Some(estimate.offset_px);
+    let measurement = measurement(&estimate, &args.session)?;
+    measured
+        .measured
+        .insert(CalibrationKey::IrOffset, measurement);
+    let report = merge_into_file(&path, &measured, args.file.replace)?;
+    if let Some(kept) = &report.kept {
+        println!("the file as it was: {}", kept.display());
+    }
+    println!("ir_offset_px written to {}", path.display());
+    Ok(Verdict::Done)
+}
+
+/// A Kinect I: the images under the lamp, each with the depth before the projector was covered.
+fn of_shading_images(
+    camera: &mut ReplayCamera,
+    full_scale: f64,
+) -> anyhow::Result<Vec<ImageOffset>> {
+    let params = SnapshotParams::default();
+    let max_covered_share = params.max_covered_depth_share;
+    let mut selector = SnapshotSelector::new(camera.info(), params)
+        .context("the session has no light for its infrared images")?;
+    while let Some(frame) = next_frame(camera)? {
+        // The pose does not matter here: depth and IR are compared on the image.
+        let outcome = match depth_share(&frame) > max_covered_share {
+            true => TrackingOutcome::Tracked {
+                world_from_camera: Pose::identity(),
+                fit: None,
+            },
+            false => TrackingOutcome::NoDepth,
+        };
+        selector.observe(&TrackedFrame {
+            frame: &frame,
+            outcome: &outcome,
+            model: None,
+        });
+    }
+    let accepted = selector.finish().accepted;
+    ensure!(
+        !accepted.is_empty(),
+        "the session has no shading image: depth empty, lamp lit, no speckle"
+    );
+    let images = accepted.iter();
+    Ok(images
+        .filter_map(|image| image_offset(&image.depth_m, &image.ir_counts, full_scale))
+        .collect())
+}
+
+/// A Kinect II: depth and IR of every frame.
+fn of_every_frame(camera: &mut ReplayCamera, full_scale: f64) -> anyhow::Result<Vec<ImageOffset>> {
+    let mut offsets = Vec::new();
+    while let Some(frame) = next_frame(camera)? {
+        if let (Some(depth_m), Some(ir)) = (&frame.depth, &frame.ir) {
+            let ir_counts = ir.map(|&counts| f32::from(counts));
+            offsets.extend(image_offset(depth_m, &ir_counts, full_scale));
+        }
+    }
+    Ok(offsets)
+}
+
+/// The next frame that is not damaged.
+fn next_frame(camera: &mut ReplayCamera) -> anyhow::Result<Option<Frame>> {
+    loop {
+        match camera.grab(Duration::ZERO) {
+            Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
+            other => return Ok(other?),
+        }
+    }
+}
+
+fn depth_share(frame: &Frame) -> f64 {
+    frame.depth.as_ref().map_or(0.0, |depth| {
+        let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
+        n_valid as f64 / depth.data().len().max(1) as f64
+    })
+}
+
+fn print(estimate: &OffsetEstimate, sensor: Sensor) {
+    let [right, down] = estimate.offset_px;
+    let [right_interval, down_interval] = estimate.half_interval_px;
+    println!(
+        "the infrared image lies {right:+.2} ± {right_interval:.2} px right of and {down:+.2} ± {down_interval:.2} px below the \
+         depth image"
+    );
+    println!(
+        "from {} edges in {} images; the depth's silhouettes lie {:.2} px inside the true ones",
+        estimate.n_edges, estimate.n_images, estimate.erosion_px
+    );
+    match sensor {
+        Sensor::Kinect1 => println!(
+            "a raw Kinect I has about ({}, {}), one whose driver or recording removed it (0, 0)",
+            NOMINAL_PX[0], NOMINAL_PX[1]
+        ),
+        Sensor::Kinect2 => println!("a Kinect II has (0, 0): depth and infrared are one image"),
+    }
+}
+
+fn measurement(estimate: &OffsetEstimate, session: &Path) -> anyhow::Result<Measurement> {
+    let session = MeasuredSession {
+        name: session_name(session),
+        content: replay::content_hash(session)?,
+    };
+    let figures = [
+        ("right_half_interval_px", estimate.half_interval_px[0]),
+        ("down_half_interval_px", estimate.half_interval_px[1]),
+        ("erosion_px", estimate.erosion_px),
+        ("edges", estimate.n_edges as f64),
+        ("images", estimate.n_images as f64),
+    ];
+    let figures: BTreeMap<_, _> = figures.map(|(name, value)| (name.to_owned(), value)).into();
+    Ok(Measurement::new(SystemTime::now(), vec![session], figures))
+}

@@ -1,0 +1,341 @@
+//! `relief calibrate response|flat-field|light`: gather the sessions, fit Eq. (1) to all of them, say what was found, and
+//! write what the command is for into the device's file.
+
+use super::{
+    TargetArgs,
+    findings::{self as report, Findings},
+};
+use crate::cli::run::{Verdict, calibration_folder, session_name};
+use anyhow::{Context, bail, ensure};
+use depth_camera::{CameraInfo, DepthCamera};
+use nalgebra::Point3;
+use relief::{
+    calibrate::{
+        BallRadius, Estimate, Gatherer, InverseSquare, Priors, Refusal, Scan, Sensor, Target,
+        estimate, inverse_square, response_check,
+    },
+    config::{
+        self, CalibrationKey, CalibrationPlaces, DeviceCalibration, FoundCalibration,
+        MeasuredSession, Measurement, calibration_path, merge_into_file,
+    },
+    fusion::FusionParams,
+    geometry::{CameraModel, RayGrid},
+    shading::FlatField,
+};
+use replay::ReplayCamera;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime},
+};
+
+/// What a command is to find.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Aim {
+    /// The exponent of the response.
+    Response,
+    /// The lens's flat field and the light's lobe.
+    FlatField,
+    /// The light's place.
+    Light,
+}
+
+impl Aim {
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Aim::Response => "response",
+            Aim::FlatField => "flat-field",
+            Aim::Light => "light",
+        }
+    }
+
+    /// How well the light's place is believed beforehand, metres: as stated by a maker, or as measured by eye.
+    fn light_sigma_m(self) -> f64 {
+        match self {
+            Aim::Response | Aim::FlatField => 0.003,
+            Aim::Light => 0.025,
+        }
+    }
+}
+
+/// How well the power of a lobe is believed beforehand: emitters lie between even and cos³.
+const LOBE_SIGMA: f64 = 1.5;
+
+/// The sessions of one device.
+struct Sessions {
+    info: CameraInfo,
+    serial: String,
+    scans: Vec<Scan>,
+}
+
+/// Runs a command.
+pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
+    let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
+    let sessions = gather(args)?;
+    let path = calibration_path(&folder, &sessions.serial)?;
+    let found = find(
+        &sessions,
+        &args.sessions,
+        args.calibration.as_deref(),
+        &folder,
+    )?;
+    require_targets(aim, &sessions.scans)?;
+
+    let rays = RayGrid::new(CameraModel::new(sessions.info.intrinsics));
+    let sensor = Sensor {
+        kind: sessions.info.sensor,
+        rays: &rays,
+        full_scale: sessions
+            .info
+            .ir_full_scale
+            .context("the session has no infrared images")?,
+        noise: found.calibration.noise,
+    };
+    let priors = priors(aim, args, &sessions.info, &found)?;
+    let findings = investigate(aim, &sessions.scans, &sensor, priors, &found)?;
+    report::print(&findings, args.json)?;
+
+    let page = args
+        .page
+        .clone()
+        .unwrap_or_else(|| folder.join(format!("{}.{}.html", sessions.serial, aim.name())));
+    if !args.file.dry_run {
+        let report = write(&path, &findings, &sessions, args)?;
+        if let Some(kept) = &report.kept {
+            tracing::info!(kept = %kept.display(), "the file as it was is kept");
+        }
+        tracing::info!(path = %path.display(), "calibration written");
+    }
+    if !args.file.dry_run || args.page.is_some() {
+        report::write_page(&page, &findings, &sessions.serial, &sensor)?;
+        tracing::info!(page = %page.display(), "page written");
+    }
+    Ok(Verdict::Done)
+}
+
+/// Replays every session; all must be of one device.
+fn gather(args: &TargetArgs) -> anyhow::Result<Sessions> {
+    let radius = args
+        .radius
+        .map_or(BallRadius::Unknown, |radius| BallRadius::Given(radius.0));
+    let mut infos: Vec<CameraInfo> = Vec::new();
+    let mut scans = Vec::new();
+    for session in &args.sessions {
+        let mut camera = ReplayCamera::open(session)?;
+        let info = camera.info().clone();
+        if let Some(first) = infos.first() {
+            check_same_device(first, &info, session, args.file.serial.is_some())?;
+        }
+        let mut gatherer = Gatherer::new(&info, FusionParams::default())
+            .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
+        loop {
+            match camera.grab(Duration::ZERO) {
+                Ok(Some(frame)) => gatherer.observe(&frame),
+                Ok(None) => break,
+                Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        let scan = gatherer.finish(&session_name(session), radius)?;
+        tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
+        infos.push(info);
+        scans.push(scan);
+    }
+    let info = infos.into_iter().next().context("no session is given")?;
+    let serial = args
+        .file
+        .serial
+        .clone()
+        .unwrap_or_else(|| info.serial.clone());
+    Ok(Sessions {
+        info,
+        serial,
+        scans,
+    })
+}
+
+fn check_same_device(
+    first: &CameraInfo,
+    info: &CameraInfo,
+    session: &Path,
+    serial_is_given: bool,
+) -> anyhow::Result<()> {
+    ensure!(
+        info.sensor == first.sensor && info.intrinsics == first.intrinsics,
+        "{}: another camera than that of the first session",
+        session.display()
+    );
+    ensure!(
+        info.ir_full_scale == first.ir_full_scale && info.light == first.light,
+        "{}: another infrared scale or light than that of the first session",
+        session.display()
+    );
+    ensure!(
+        serial_is_given || info.serial == first.serial,
+        "{}: of device {}, the first session is of device {}; if they are one device, say which with --serial",
+        session.display(),
+        info.serial,
+        first.serial
+    );
+    Ok(())
+}
+
+fn find(
+    sessions: &Sessions,
+    folders: &[PathBuf],
+    given: Option<&Path>,
+    folder: &Path,
+) -> anyhow::Result<FoundCalibration> {
+    let info = CameraInfo {
+        serial: sessions.serial.clone(),
+        ..sessions.info.clone()
+    };
+    let places = CalibrationPlaces {
+        given,
+        folder,
+        session: folders.first().map(PathBuf::as_path),
+    };
+    Ok(config::find_calibration(&info, &places)?)
+}
+
+/// What a command cannot do without.
+fn require_targets(aim: Aim, scans: &[Scan]) -> anyhow::Result<()> {
+    let has_wall = scans.iter().any(|scan| scan.target == Target::Wall);
+    let has_sphere = scans.iter().any(|scan| scan.target != Target::Wall);
+    match aim {
+        Aim::Response if !has_sphere => bail!(
+            "no session shows a sphere, from which the response is measured; the sessions show walls only"
+        ),
+        Aim::FlatField if !has_wall => bail!(
+            "no session shows a plain wall, from which the flat field is measured; the sessions show spheres only"
+        ),
+        _ => Ok(()),
+    }
+}
+
+fn priors(
+    aim: Aim,
+    args: &TargetArgs,
+    info: &CameraInfo,
+    found: &FoundCalibration,
+) -> anyhow::Result<Priors> {
+    let stated = info.light.context("the session states no light")?;
+    let mut light = found.calibration.light.near_light(&stated);
+    if let Some(start) = args.start {
+        light.position = Point3::from(start.0);
+    }
+    Ok(Priors {
+        light,
+        light_sigma_m: aim.light_sigma_m(),
+        lobe_sigma: LOBE_SIGMA,
+        flat_field: found.calibration.flat_field.clone(),
+    })
+}
+
+/// Fits everything, then looks at what the command is for.
+fn investigate<'a>(
+    aim: Aim,
+    scans: &'a [Scan],
+    sensor: &Sensor,
+    priors: Priors,
+    found: &FoundCalibration,
+) -> Result<Findings<'a>, Refusal> {
+    let whole = estimate(scans, sensor, &priors)?;
+    let spheres: Vec<Scan> = scans
+        .iter()
+        .filter(|scan| scan.target != Target::Wall)
+        .cloned()
+        .collect();
+    // What the spheres say of the response by themselves tests the inverse square law, which the whole fit takes for
+    // granted; light and lens are those of the whole fit, since a sphere at one distance does not know them.
+    let spheres_alone: Option<Estimate> = match spheres.len() {
+        0 => None,
+        n if n == scans.len() => None,
+        _ => Some(estimate(&spheres, sensor, &fitted_priors(&whole))?),
+    };
+    let mut responses = Vec::new();
+    let mut distances: Vec<(usize, InverseSquare)> = Vec::new();
+    for (index, scan) in scans.iter().enumerate() {
+        match scan.target {
+            Target::Wall => match inverse_square(scans, index, sensor, &whole) {
+                Ok(law) => distances.push((index, law)),
+                Err(refusal) if aim == Aim::FlatField => return Err(refusal),
+                Err(refusal) => tracing::warn!(%refusal, "inverse square law not checked"),
+            },
+            Target::Sphere(_) => {
+                responses.push((index, response_check(scans, index, sensor, &whole)?));
+            }
+        }
+    }
+    Ok(Findings {
+        aim,
+        scans,
+        estimate: whole,
+        spheres_alone,
+        responses,
+        distances,
+        priors,
+        known_gamma: found.calibration.gamma,
+        gamma_origin: found.origins[&CalibrationKey::Gamma].to_string(),
+    })
+}
+
+/// The light and lens of a fit as what is believed beforehand.
+fn fitted_priors(fitted: &Estimate) -> Priors {
+    let largest = |sigmas: [f64; 3]| sigmas.into_iter().fold(0.0, f64::max);
+    Priors {
+        light: fitted.state.light,
+        light_sigma_m: largest(fitted.light_position().map(|axis| axis.sigma)).max(1e-4),
+        lobe_sigma: fitted.lobe_power().sigma.max(1e-3),
+        flat_field: FlatField::Spline(fitted.state.flat.clone()),
+    }
+}
+
+/// Merges what the command is for into the device's file.
+fn write(
+    path: &Path,
+    findings: &Findings,
+    sessions: &Sessions,
+    args: &TargetArgs,
+) -> anyhow::Result<config::MergeReport> {
+    let measured_sessions = args
+        .sessions
+        .iter()
+        .map(|session| {
+            Ok(MeasuredSession {
+                name: session_name(session),
+                content: replay::content_hash(session)?,
+            })
+        })
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let mut device = DeviceCalibration::new(sessions.serial.clone(), sessions.info.sensor);
+    let state = &findings.estimate.state;
+    let mut keys = Vec::new();
+    match findings.aim {
+        Aim::Response => {
+            device.gamma = Some(state.gamma);
+            keys.push(CalibrationKey::Gamma);
+        }
+        Aim::FlatField => {
+            device.flat_field = Some(FlatField::Spline(state.flat.clone()));
+            device.light.lobe_power = Some(state.light.lobe_power);
+            keys.extend([CalibrationKey::FlatField, CalibrationKey::LightLobePower]);
+        }
+        Aim::Light => {
+            device.light.position_m = Some(findings.believed_position().into());
+            device.light.lobe_power = Some(state.light.lobe_power);
+            keys.extend([
+                CalibrationKey::LightPosition,
+                CalibrationKey::LightLobePower,
+            ]);
+        }
+    }
+    let time = SystemTime::now();
+    for key in keys {
+        let figures: BTreeMap<String, f64> = findings.figures(key);
+        let measurement = Measurement::new(time, measured_sessions.clone(), figures);
+        device.measured.insert(key, measurement);
+    }
+    Ok(merge_into_file(path, &device, args.file.replace)?)
+}
