@@ -8,6 +8,8 @@ use serde::Serialize;
 pub enum Tracked {
     /// The camera's pose at a time of its own clock, seconds.
     Pose(f64, Pose),
+    /// All poses of the camera with their times, seconds, that replace those told so far.
+    Corrected(Vec<(f64, Pose)>),
     /// Something happened.
     Event(Event),
 }

@@ -107,6 +107,7 @@ impl Recorder {
     pub fn tracked(&mut self, tracked: Tracked) {
         match tracked {
             Tracked::Pose(time_secs, pose) => self.summary.trajectory.push((time_secs, pose)),
+            Tracked::Corrected(trajectory) => self.summary.trajectory = trajectory,
             Tracked::Event(event) => self.event(&event),
         }
     }

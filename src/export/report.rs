@@ -68,6 +68,8 @@ pub struct FrameCounts {
 pub struct Tracking {
     /// Length of the camera's path, metres.
     pub path_length_m: f64,
+    /// How often a lost camera was found in another place than it was lost at.
+    pub n_relocalised: u64,
     /// When the camera was lost.
     pub lost_spans: Vec<LostSpan>,
 }

@@ -111,6 +111,7 @@ mod tests {
             relief_version: "0.1.0".into(),
             tracking: Tracking {
                 path_length_m: 2.5,
+                n_relocalised: 0,
                 lost_spans: vec![LostSpan::default()],
             },
             base_mesh: BaseMesh {

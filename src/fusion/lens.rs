@@ -76,6 +76,19 @@ pub fn round_bits(x: f32) -> u32 {
     (x + ROUND).to_bits() & ROUND_MASK
 }
 
+/// The instruction sets that this processor has.
+#[cfg(test)]
+pub(crate) fn arch_levels() -> Vec<pulp::Arch> {
+    use pulp::Arch;
+    let mut levels = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        levels.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        levels.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    levels
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -30,6 +30,23 @@ impl Rows {
         residual: [0.0; LANES],
         weight: [0.0; LANES],
     };
+
+    /// Sets one residual.
+    pub fn set(
+        &mut self,
+        lane: usize,
+        lever: &Vector3<f32>,
+        normal: &Vector3<f32>,
+        residual: f32,
+        weight: f32,
+    ) {
+        for axis in 0..3 {
+            self.lever[axis][lane] = lever[axis];
+            self.normal[axis][lane] = normal[axis];
+        }
+        self.residual[lane] = residual;
+        self.weight[lane] = weight;
+    }
 }
 
 /// Upper triangle of JᵀWJ, then JᵀWr, the sum of weights and that of weighted squares.
@@ -154,6 +171,11 @@ impl NormalEquations {
         let scale = Matrix6::from_diagonal(&Vector6::new(s, s, s, 1.0, 1.0, 1.0));
         let eigenvalues = (scale * self.jtj * scale).symmetric_eigenvalues();
         eigenvalues.min().max(0.0) / eigenvalues.max().max(f64::MIN_POSITIVE)
+    }
+
+    /// Mean square of the residuals by a left increment: m² per (rad, m)².
+    pub fn mean_curvature(&self) -> Matrix6<f64> {
+        self.jtj / self.weight.max(f64::MIN_POSITIVE)
     }
 
     /// Weighted root mean square of the residuals, metres.

@@ -1,6 +1,9 @@
 //! What fusion needs to know, and the bounds of it.
 
 use super::icp::IcpParams;
+use super::loop_closing::LoopClosingParams;
+use super::preprocess::DepthRange;
+use super::volume::TsdfVolume;
 use serde::{Deserialize, Serialize};
 
 /// What fusion needs to know; distances in metres.
@@ -34,6 +37,8 @@ pub struct FusionParams {
     pub max_rotation_rad_per_s: f64,
     /// A faster move is not believed, metres per second.
     pub max_speed_m_per_s: f64,
+    /// Closing loops at the end of the scan.
+    pub loop_closing: LoopClosingParams,
 }
 
 impl Default for FusionParams {
@@ -52,6 +57,7 @@ impl Default for FusionParams {
             min_conditioning: 1e-4,
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
+            loop_closing: LoopClosingParams::default(),
         }
     }
 }
@@ -114,6 +120,39 @@ impl FusionParams {
         )?;
         let [coarse, fine] = icp.sdf_iterations.map(|n| n as f64);
         within("icp.sdf_iterations", coarse, 0.0, 100.0)?;
-        within("icp.sdf_iterations", fine, 1.0, 100.0)
+        within("icp.sdf_iterations", fine, 1.0, 100.0)?;
+        self.loop_closing.validate(within)
+    }
+
+    /// Distance at which signed distances are cut off, metres.
+    pub(super) fn truncation_m(&self) -> f64 {
+        self.voxel_size_m * self.truncation_voxels
+    }
+
+    /// A volume in which nothing is fused yet.
+    pub(super) fn empty_volume(&self) -> TsdfVolume {
+        self.volume_of(self.voxel_size_m)
+    }
+
+    /// A volume for a fragment: voxels twice as large, for its surface serves alignment alone.
+    pub(super) fn fragment_volume(&self) -> TsdfVolume {
+        self.volume_of(2.0 * self.voxel_size_m)
+    }
+
+    fn volume_of(&self, voxel_size_m: f64) -> TsdfVolume {
+        let budget_bytes = self.memory_budget_mb << 20;
+        TsdfVolume::new(
+            voxel_size_m as f32,
+            self.truncation_m() as f32,
+            budget_bytes,
+        )
+    }
+
+    /// The working range.
+    pub(super) fn depth_range(&self) -> DepthRange {
+        DepthRange {
+            near_m: self.depth_min_m as f32,
+            far_m: self.depth_max_m as f32,
+        }
     }
 }

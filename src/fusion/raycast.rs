@@ -22,8 +22,9 @@ pub struct ModelMap {
 }
 
 impl ModelMap {
-    /// A map in which nothing is seen.
-    pub fn empty(width: usize, height: usize) -> Self {
+    /// A map of a level's size in which nothing is seen.
+    pub fn of_level(level: &Level) -> Self {
+        let (width, height) = (level.rays.width, level.rays.height);
         ModelMap {
             points: Image::filled(width, height, Vector3::zeros()),
             normals: Image::filled(width, height, Vector3::zeros()),
@@ -42,14 +43,44 @@ pub fn raycast(
     range: DepthRange,
     map: &mut ModelMap,
 ) {
+    let caster = Caster::new(volume, world_from_camera, range);
+    for_each_ray(
+        level,
+        world_from_camera,
+        map,
+        |u, v, direction| match level.depth[v * level.rays.width + u] {
+            depth if depth > 0.0 => caster.near_depth(direction, depth),
+            _ => depth_near(level, u, v).and_then(|depth| caster.march_near(direction, depth)),
+        },
+    );
+}
+
+/// Casts a ray for each pixel of a level, whatever its depth, through the whole range. Far slower than [`raycast`].
+pub fn raycast_anywhere(
+    volume: &TsdfVolume,
+    level: &Level,
+    world_from_camera: &Pose,
+    range: DepthRange,
+) -> ModelMap {
+    let mut map = ModelMap::of_level(level);
+    let caster = Caster::new(volume, world_from_camera, range);
+    for_each_ray(level, world_from_camera, &mut map, |_, _, direction| {
+        caster.march(direction, range)
+    });
+    map
+}
+
+/// Fills a map by `cast(u, v, direction)`, the direction in the world frame with unit depth; nothing is seen where the lens
+/// has no ray.
+fn for_each_ray(
+    level: &Level,
+    world_from_camera: &Pose,
+    map: &mut ModelMap,
+    cast: impl Fn(usize, usize, &Vector3<f32>) -> Option<Hit> + Sync,
+) {
     let width = level.rays.width;
     let rotation = world_from_camera.rotation.to_rotation_matrix();
     let rotation = rotation.matrix().cast::<f32>();
-    let caster = Caster {
-        volume,
-        origin: world_from_camera.translation.vector.cast::<f32>(),
-        range,
-    };
     map.points
         .data_mut()
         .par_chunks_mut(width)
@@ -59,12 +90,9 @@ pub fn raycast(
             for u in 0..width {
                 let pixel = v * width + u;
                 let ray = Vector3::new(level.rays.x[pixel], level.rays.y[pixel], 1.0);
-                let direction = rotation * ray;
-                let hit = match level.depth[pixel] {
-                    depth if depth > 0.0 => caster.near_depth(&direction, depth),
-                    _ if ray.x.is_nan() => None,
-                    _ => depth_near(level, u, v)
-                        .and_then(|depth| caster.march_near(&direction, depth)),
+                let hit = match ray.x.is_nan() {
+                    true => None,
+                    false => cast(u, v, &(rotation * ray)),
                 };
                 (points[u], normals[u]) = hit.unwrap_or_default();
             }
@@ -95,7 +123,15 @@ struct Caster<'a> {
     range: DepthRange,
 }
 
-impl Caster<'_> {
+impl<'a> Caster<'a> {
+    fn new(volume: &'a TsdfVolume, world_from_camera: &Pose, range: DepthRange) -> Self {
+        Caster {
+            volume,
+            origin: world_from_camera.translation.vector.cast::<f32>(),
+            range,
+        }
+    }
+
     /// The surface near a measured depth.
     fn near_depth(&self, direction: &Vector3<f32>, depth: f32) -> Option<Hit> {
         self.converge(direction, depth)

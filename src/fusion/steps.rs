@@ -18,17 +18,20 @@ pub enum FusionStep {
     Integrate,
     /// Casting the model for the next frame.
     Raycast,
+    /// Keeping the frame for closing loops and its place for finding back.
+    Remember,
 }
 
 impl FusionStep {
     /// All steps, in order.
-    pub const ALL: [FusionStep; 6] = [
+    pub const ALL: [FusionStep; 7] = [
         FusionStep::Preprocess,
         FusionStep::Icp,
         FusionStep::SdfAlignment,
         FusionStep::Allocate,
         FusionStep::Integrate,
         FusionStep::Raycast,
+        FusionStep::Remember,
     ];
 }
 

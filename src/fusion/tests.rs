@@ -6,7 +6,7 @@ use depth_camera::{DepthCamera, Frame, Image, Sensor};
 use simulated::SimulatedCamera;
 use std::time::Duration;
 
-fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
+pub(super) fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
     let mut camera = SimulatedCamera::kinect2_plaque(60, 3);
     let model = CameraModel::new(camera.info().intrinsics);
     // The simulator's world is its table; ours is the first camera.
@@ -25,13 +25,18 @@ fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
     (frames, truth, model)
 }
 
-fn fusion(camera: CameraModel) -> Fusion {
-    let params = FusionParams {
+/// Voxels large enough for debug builds.
+pub(super) fn small_params() -> FusionParams {
+    FusionParams {
         voxel_size_m: 0.004,
         depth_max_m: 1.5,
         ..FusionParams::default()
-    };
-    Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params)
+    }
+}
+
+fn fusion(camera: CameraModel) -> Fusion {
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    Fusion::new(camera, noise, small_params())
 }
 
 fn fuse(fusion: &mut Fusion, frame: &Frame) -> TrackingOutcome {
@@ -88,6 +93,66 @@ fn a_frame_from_elsewhere_is_lost_and_not_fused_and_tracking_resumes() {
         TrackingOutcome::Tracked { .. }
     ));
     assert_eq!(fusion.n_fused(), 3);
+}
+
+#[test]
+fn a_kidnapped_camera_is_found_by_two_frames() {
+    let (frames, truth, camera) = frames(16);
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    let params = FusionParams {
+        // 2.3° a frame are believed, the 9° of the jump are not.
+        max_rotation_rad_per_s: 1.2,
+        ..small_params()
+    };
+    let mut fusion = Fusion::new(camera, noise, params);
+    for frame in &frames {
+        let outcome = fuse(&mut fusion, frame);
+        assert!(
+            matches!(outcome, TrackingOutcome::Tracked { .. }),
+            "{outcome:?}"
+        );
+    }
+    let start_secs = frames[15].device_time_secs;
+    let mut again = |index: usize| {
+        let depth = frames[index].depth.as_ref().expect("Kinect II");
+        fusion.fuse(depth, start_secs + index as f64 / 30.0)
+    };
+    let unconfirmed = TrackingOutcome::Lost(LossReason::Unconfirmed);
+    assert_eq!(again(1), unconfirmed);
+    let TrackingOutcome::Tracked {
+        world_from_camera, ..
+    } = again(2)
+    else {
+        panic!("not confirmed");
+    };
+    let off = motion_between(&truth[2], &world_from_camera);
+    assert!(
+        off.translation_m < 0.002 && off.rotation_rad < 0.006,
+        "{off:?}"
+    );
+    assert_eq!((fusion.n_relocalised(), fusion.n_fused()), (1, 17));
+}
+
+#[test]
+fn dropped_frames_and_a_hand_before_the_lens_are_got_over() {
+    let (frames, _, camera) = frames(10);
+    let mut fusion = fusion(camera);
+    for index in [0, 1, 4, 5] {
+        let outcome = fuse(&mut fusion, &frames[index]);
+        assert!(
+            matches!(outcome, TrackingOutcome::Tracked { .. }),
+            "{outcome:?}"
+        );
+    }
+    let hand = frames[6].depth.as_ref().expect("Kinect II").map(|_| 0.4);
+    let outcome = fusion.fuse(&hand, frames[6].device_time_secs);
+    assert!(matches!(outcome, TrackingOutcome::Lost(_)), "{outcome:?}");
+    let outcome = fuse(&mut fusion, &frames[8]);
+    assert!(
+        matches!(outcome, TrackingOutcome::Tracked { .. }),
+        "{outcome:?}"
+    );
+    assert_eq!((fusion.n_fused(), fusion.n_relocalised()), (5, 0));
 }
 
 #[test]

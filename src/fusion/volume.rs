@@ -45,6 +45,7 @@ impl Block {
 pub type BlockCoord = [i32; 3];
 
 /// The volume.
+#[derive(Clone)]
 pub struct TsdfVolume {
     voxel_size_m: f32,
     truncation_m: f32,

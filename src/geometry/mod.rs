@@ -14,5 +14,5 @@ mod triangle;
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use mesh::{EdgeAdjacency, TriMesh};
-pub use pose::{Motion, Pose, increment, mean_pose, motion_between};
+pub use pose::{Motion, Pose, between, increment, mean_pose, motion_between};
 pub use rasterise::{DepthBuffer, rasterise};

@@ -33,11 +33,17 @@ pub fn motion_between(world_from_a: &Pose, world_from_b: &Pose) -> Motion {
 
 /// The pose halfway between two poses.
 pub fn mean_pose(a: &Pose, b: &Pose) -> Pose {
+    between(a, b, 0.5)
+}
+
+/// The pose that lies a share of the way, 0 to 1, from `a` to `b`.
+pub fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
     let relative = a.rotation.inverse() * b.rotation;
-    let half = UnitQuaternion::from_scaled_axis(relative.scaled_axis() * 0.5);
+    let turn = UnitQuaternion::from_scaled_axis(relative.scaled_axis() * share);
+    let (from, to) = (a.translation.vector, b.translation.vector);
     Isometry3::from_parts(
-        Translation3::from((a.translation.vector + b.translation.vector) * 0.5),
-        a.rotation * half,
+        Translation3::from(from + (to - from) * share),
+        a.rotation * turn,
     )
 }
 

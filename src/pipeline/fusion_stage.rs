@@ -10,8 +10,8 @@ use super::{
 use crate::{
     capture::{Event, EventKind, Tracked},
     export::StageTiming,
-    fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome},
-    geometry::{CameraModel, Pose, TriMesh},
+    fusion::{DepthNoise, Fusion, FusionParams, LoopClosure, TrackingOutcome},
+    geometry::{CameraModel, Pose, TriMesh, motion_between},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
 };
 use crossbeam::channel::Sender;
@@ -55,6 +55,8 @@ pub struct FusionSummary {
     pub n_fused: u64,
     /// Frames during which tracking was lost.
     pub n_lost: u64,
+    /// How often a lost camera was found in another place than it was lost at.
+    pub n_relocalised: u64,
     /// Frames without depth.
     pub n_without_depth: u64,
     /// When tracking was lost.
@@ -97,7 +99,8 @@ struct FusionStage {
     status: StatusSlot,
     tracked: Sender<Tracked>,
     summary: FusionSummary,
-    world_from_cameras: Vec<Pose>,
+    /// Times (s) and poses of all fused frames.
+    trajectory: Vec<(f64, Pose)>,
     last_depth: Option<Image<f32>>,
     had_depth: bool,
     fusion_clock: StageClock,
@@ -118,7 +121,7 @@ impl FusionStage {
             status: setup.status,
             tracked,
             summary: FusionSummary::default(),
-            world_from_cameras: Vec::new(),
+            trajectory: Vec::new(),
             last_depth: None,
             had_depth: true,
             fusion_clock: StageClock::new("tracking and fusion"),
@@ -192,11 +195,11 @@ impl FusionStage {
             tracing::info!(frame_id = frame.frame_id, "tracking found back");
             self.tell(frame, EventKind::Found);
         }
-        if let Some(previous) = self.world_from_cameras.last() {
-            self.summary.path_length_m +=
-                (world_from_camera.translation.vector - previous.translation.vector).norm();
+        if let Some((_, previous)) = self.trajectory.last() {
+            self.summary.path_length_m += motion_between(previous, world_from_camera).translation_m;
         }
-        self.world_from_cameras.push(*world_from_camera);
+        self.trajectory
+            .push((frame.device_time_secs, *world_from_camera));
         self.send(Tracked::Pose(frame.device_time_secs, *world_from_camera));
         self.last_depth.clone_from(&frame.depth);
     }
@@ -263,12 +266,22 @@ impl FusionStage {
         let _ = self.tracked.send(tracked);
     }
 
-    /// Takes the mesh out of the volume; the volume's memory is free before refinement begins.
+    /// Closes loops and takes the mesh out of the volume, whose memory is free before refinement begins.
     fn finish(mut self) -> FusionSummary {
-        self.summary.refusal = self.fusion.refusal();
+        let mut closing_clock = StageClock::new("loop closing");
         let mut meshing_clock = StageClock::new("mesh extraction");
+        self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
         if self.summary.n_fused > 0 {
             self.status.update(|status| status.phase = Phase::Meshing);
+            let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
+            let closure = closing_clock.time(|| {
+                let (fusion, pool) = (&mut self.fusion, &self.pool);
+                pool.install(|| fusion.close_loops())
+            });
+            if let Some(closure) = &closure {
+                self.correct(closure, snapshots.as_mut());
+            }
+            self.summary.refusal = self.fusion.refusal();
             let (fusion, pool) = (&self.fusion, &self.pool);
             let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
             tracing::info!(
@@ -280,15 +293,45 @@ impl FusionStage {
             );
             self.summary.scan = Some(Arc::new(FusedScan {
                 base,
-                world_from_cameras: self.world_from_cameras,
-                snapshots: self.selector.map(SnapshotSelector::finish),
+                world_from_cameras: self.trajectory.iter().map(|(_, pose)| *pose).collect(),
+                snapshots,
                 last_depth: self.last_depth,
             }));
         }
-        self.summary.timings = [self.fusion_clock, self.selection_clock, meshing_clock]
-            .iter()
-            .filter_map(StageClock::timing)
-            .collect();
+        self.summary.timings = [
+            self.fusion_clock,
+            self.selection_clock,
+            closing_clock,
+            meshing_clock,
+        ]
+        .iter()
+        .filter_map(StageClock::timing)
+        .collect();
         self.summary
+    }
+
+    /// Moves all poses that were handed out to where closing the loops has put them.
+    fn correct(&mut self, closure: &LoopClosure, snapshots: Option<&mut SnapshotSelection>) {
+        tracing::info!(
+            n_fragments = closure.n_fragments,
+            n_loops = closure.n_loops,
+            misfit_before_m = closure.misfit_before_m,
+            misfit_after_m = closure.misfit_after_m,
+            "loops closed"
+        );
+        let correction = &closure.correction;
+        for (time_secs, pose) in &mut self.trajectory {
+            *pose = correction.apply(*time_secs, pose);
+        }
+        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
+            snapshot.world_from_camera =
+                correction.apply(snapshot.device_time_secs, &snapshot.world_from_camera);
+        }
+        self.summary.path_length_m = self
+            .trajectory
+            .windows(2)
+            .map(|pair| motion_between(&pair[0].1, &pair[1].1).translation_m)
+            .sum();
+        self.send(Tracked::Corrected(self.trajectory.clone()));
     }
 }

@@ -74,6 +74,12 @@ pub fn sentence(reason: &LossReason) -> String {
             rotation_rad.to_degrees(),
             1e3 * translation_m
         ),
+        LossReason::Elsewhere => {
+            "after an interruption the frame shows something else than the model".to_owned()
+        }
+        LossReason::Unconfirmed => {
+            "a place was found that the next frame has to confirm".to_owned()
+        }
     }
 }
 

@@ -71,6 +71,7 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
         frames: frame_counts(endings),
         tracking: Tracking {
             path_length_m: fusion.path_length_m,
+            n_relocalised: fusion.n_relocalised,
             lost_spans: fusion.losses.spans().to_vec(),
         },
         base_mesh: base.map_or_else(BaseMesh::default, |mesh| BaseMesh {

@@ -32,7 +32,8 @@ fn every_step_is_timed_and_the_path_scored_where_it_is_known() {
             "sdf_alignment",
             "allocate",
             "integrate",
-            "raycast"
+            "raycast",
+            "remember"
         ]
     );
     assert_eq!(measured["frames"]["tracked"], 3);

@@ -1,0 +1,97 @@
+//! The frame in hand, from a depth image to measurements, and those into a volume; its buffers are kept from frame to frame.
+
+use super::band::Band;
+use super::integrate::{View, integrate};
+use super::lens::Lens;
+use super::noise::DepthNoise;
+use super::observe::Observations;
+use super::preprocess::{DepthRange, build_levels, clip_depth};
+use super::pyramid::{FramePyramid, Level};
+use super::raycast::{ModelMap, raycast};
+use super::steps::{FusionStep, OnStep};
+use super::volume::TsdfVolume;
+use crate::geometry::{CameraModel, Pose};
+use depth_camera::Image;
+use pulp::Arch;
+
+/// Below this share of valid pixels a frame is taken for empty; arbitrary, speckle of a covered Kinect I stays below.
+const MIN_VALID_SHARE: f64 = 0.02;
+
+/// A camera with the frame that it took last.
+#[derive(Clone, Debug)]
+pub struct Eye {
+    /// Instruction set of the kernels; results do not depend on it.
+    pub arch: Arch,
+    /// The depth noise.
+    pub noise: DepthNoise,
+    /// The working range.
+    pub range: DepthRange,
+    /// The frame in hand.
+    pub frame: FramePyramid,
+    lens: Lens,
+    observations: Observations,
+}
+
+impl Eye {
+    /// A camera without a frame.
+    pub fn new(camera: &CameraModel, noise: DepthNoise, range: DepthRange) -> Self {
+        let frame = FramePyramid::new(camera);
+        Eye {
+            arch: Arch::new(),
+            noise,
+            range,
+            lens: Lens::new(camera),
+            observations: Observations::new(&frame),
+            frame,
+        }
+    }
+
+    /// Takes a depth image (metres, 0 is none) in hand; `false` if it holds (almost) no depth.
+    pub fn take(&mut self, depth: &Image<f32>) -> bool {
+        let n_valid = clip_depth(self.arch, depth, self.range, &mut self.frame);
+        if (n_valid as f64) < MIN_VALID_SHARE * depth.data().len() as f64 {
+            return false;
+        }
+        build_levels(self.arch, &self.noise, &mut self.frame);
+        true
+    }
+
+    /// Fuses the frame in hand into a volume.
+    pub fn fuse_into(
+        &mut self,
+        volume: &mut TsdfVolume,
+        band: &mut Band,
+        world_from_camera: &Pose,
+        on_step: &mut OnStep,
+    ) {
+        self.observations.fill(self.arch, &self.frame, &self.noise);
+        band.find(volume, &self.frame, world_from_camera);
+        on_step(FusionStep::Allocate);
+        let view = View::new(volume, self.lens, world_from_camera);
+        let pixels = self.observations.pixels();
+        integrate(self.arch, volume, band.touched(), pixels, &view);
+        on_step(FusionStep::Integrate);
+    }
+
+    /// Looks at a volume from where the frame in hand was fused, with the pixels of a reduced level.
+    pub fn look(
+        &self,
+        level: usize,
+        volume: &TsdfVolume,
+        world_from_camera: &Pose,
+        map: &mut ModelMap,
+    ) {
+        raycast(
+            volume,
+            self.level(level),
+            world_from_camera,
+            self.range,
+            map,
+        );
+    }
+
+    /// A reduced level of the frame in hand, the finest first.
+    pub fn level(&self, level: usize) -> &Level {
+        &self.frame.reduced[level]
+    }
+}

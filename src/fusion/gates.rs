@@ -1,0 +1,64 @@
+//! Whether an aligned frame is believed. When in doubt it is not.
+
+use super::noise::DepthNoise;
+use super::pyramid::{FramePyramid, N_REDUCED};
+use super::{Fit, FusionParams, LossReason};
+use crate::geometry::Motion;
+
+/// Judges how well a frame fits.
+pub(super) fn judge_fit(
+    fit: &Fit,
+    frame: &FramePyramid,
+    noise: &DepthNoise,
+    params: &FusionParams,
+) -> Result<(), LossReason> {
+    let sigma_m = noise.sigma_m(median_depth(frame)) as f64;
+    if fit.inlier_share < params.min_inlier_share {
+        Err(LossReason::FewInliers {
+            inlier_share: fit.inlier_share,
+        })
+    } else if fit.see_through_share > params.max_see_through_share {
+        Err(LossReason::SeeThrough {
+            share: fit.see_through_share,
+        })
+    } else if fit.rmse_m > params.max_rmse_sigmas * sigma_m {
+        Err(LossReason::LargeResidual { rmse_m: fit.rmse_m })
+    } else if fit.conditioning < params.min_conditioning {
+        Err(LossReason::FlatScene {
+            conditioning: fit.conditioning,
+        })
+    } else {
+        Ok(())
+    }
+}
+
+/// Judges how far the camera has moved in a time.
+pub(super) fn judge_motion(
+    motion: &Motion,
+    elapsed_secs: f64,
+    params: &FusionParams,
+) -> Result<(), LossReason> {
+    // A frame later than a tenth of a second ago does not entitle to a longer jump.
+    let elapsed = elapsed_secs.clamp(1.0 / 60.0, 0.1);
+    if motion.rotation_rad > params.max_rotation_rad_per_s * elapsed
+        || motion.translation_m > params.max_speed_m_per_s * elapsed
+    {
+        Err(LossReason::Jump {
+            rotation_rad: motion.rotation_rad,
+            translation_m: motion.translation_m,
+        })
+    } else {
+        Ok(())
+    }
+}
+
+/// Median depth of the coarsest level, metres.
+fn median_depth(frame: &FramePyramid) -> f32 {
+    let coarsest = &frame.reduced[N_REDUCED - 1].depth;
+    let mut depths: Vec<f32> = coarsest.iter().copied().filter(|z| *z > 0.0).collect();
+    if depths.is_empty() {
+        return 1.0;
+    }
+    let middle = depths.len() / 2;
+    *depths.select_nth_unstable_by(middle, f32::total_cmp).1
+}

@@ -1,0 +1,80 @@
+//! Loops over frames of the simulated camera, whose poses are known.
+
+use super::super::tests::{frames as simulated_frames, small_params};
+use super::super::{DepthNoise, FusionParams, eye::Eye, keyframes::Keyframes};
+use super::*;
+use crate::geometry::{increment, motion_between};
+use depth_camera::Sensor;
+
+/// A swing whose poses drift evenly, by `drift` from frame to frame.
+fn drifted(n_frames: usize, drift: &Vector6<f64>) -> (Keyframes, Vec<Pose>, Eye) {
+    let (frames, truth, camera) = simulated_frames(n_frames);
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    let mut eye = Eye::new(&camera, noise, small_params().depth_range());
+    let mut keyframes = Keyframes::new(usize::MAX);
+    for (index, (frame, pose)) in frames.iter().zip(&truth).enumerate() {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        let off = increment(&(drift * index as f64));
+        assert!(eye.take(depth));
+        keyframes.offer(&eye, frame.device_time_secs, &(off * pose), 0);
+    }
+    (keyframes, truth, eye)
+}
+
+fn closed(keyframes: &Keyframes, eye: &Eye, params: &FusionParams) -> Option<ClosedLoops> {
+    let nothing_moved = PoseCorrection::default();
+    let (live, _) = fuse_again(keyframes.frames(), &nothing_moved, eye, params);
+    find(keyframes.frames(), eye, params, &live)
+}
+
+/// Fragments so short that a swing of few frames has several.
+fn short_fragments() -> FusionParams {
+    FusionParams {
+        loop_closing: LoopClosingParams {
+            fragment_frames: 3,
+            ..LoopClosingParams::default()
+        },
+        ..small_params()
+    }
+}
+
+#[test]
+fn drift_is_taken_back_alike_on_any_number_of_threads() {
+    let drift = Vector6::new(0.0004, 0.0003, 0.0, 0.0006, 0.0, 0.0004);
+    let (keyframes, truth, eye) = drifted(18, &drift);
+    let run = |n_threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(n_threads)
+            .build()
+            .expect("threads");
+        pool.install(|| closed(&keyframes, &eye, &short_fragments()).expect("a better fit"))
+    };
+    let (one, two) = (run(1), run(2));
+    assert_eq!(one.closure.correction, two.closure.correction);
+    assert!(one.closure.misfit_after_m < one.closure.misfit_before_m);
+    let frame = &keyframes.frames()[17];
+    let before = motion_between(&truth[17], &frame.world_from_camera);
+    let correction = &one.closure.correction;
+    let after = correction.apply(frame.time_secs, &frame.world_from_camera);
+    let after = motion_between(&truth[17], &after);
+    // Drift of 12 mm and 8.5 mrad; half a voxel of 4 mm may be left, as in tracking.
+    assert!(before.translation_m > 0.010 && before.rotation_rad > 0.008);
+    assert!(after.translation_m < 0.002, "{after:?}");
+    assert!(after.rotation_rad < 0.004, "{after:?}");
+    let first = motion_between(&correction.at(frame.time_secs - 1e3), &Pose::identity());
+    assert!(first.translation_m < 1e-12 && first.rotation_rad < 1e-7);
+}
+
+#[test]
+fn a_scan_that_never_comes_back_is_left_alone() {
+    let (keyframes, _, eye) = drifted(6, &Vector6::zeros());
+    assert!(closed(&keyframes, &eye, &short_fragments()).is_none());
+}
+
+#[test]
+fn chosen_targets_are_spread_and_end_with_the_nearest() {
+    let targets: Vec<usize> = (0..20).collect();
+    assert_eq!(evenly(&targets, 4), [4, 9, 14, 19]);
+    assert_eq!(evenly(&targets[..3], 4), [0, 1, 2]);
+    assert!(evenly(&[], 4).is_empty());
+}

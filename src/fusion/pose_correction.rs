@@ -1,0 +1,88 @@
+//! How far the poses of a scan are moved, as a function of time.
+
+use super::fragments::Fragment;
+use super::keyframes::Keyframe;
+use crate::geometry::{Pose, between};
+
+/// A correction of poses that varies with time: known at some times, interpolated between them, constant beyond.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseCorrection {
+    /// Times in seconds of the device's clock, not decreasing, and what is multiplied from the left to a pose.
+    knots: Vec<(f64, Pose)>,
+}
+
+impl PoseCorrection {
+    /// The correction that takes every fragment's anchor to its node (world from anchor); the first frame stays in place. No
+    /// interpolation across a break of tracking.
+    pub(super) fn of_fragments(
+        frames: &[Keyframe],
+        fragments: &[Fragment],
+        nodes: &[Pose],
+    ) -> Self {
+        let mut knots = Vec::new();
+        for (index, (fragment, node)) in fragments.iter().zip(nodes).enumerate() {
+            let correction = node * frames[fragment.anchor].world_from_camera.inverse();
+            let stretch = frames[fragment.anchor].stretch;
+            let stands_alone = |other: Option<&Fragment>| {
+                other.is_none_or(|other| frames[other.anchor].stretch != stretch)
+            };
+            let (first, last) = (fragment.frames.start, fragment.frames.end - 1);
+            if stands_alone(index.checked_sub(1).map(|before| &fragments[before])) {
+                knots.push((frames[first].time_secs, correction));
+            }
+            knots.push((frames[fragment.anchor].time_secs, correction));
+            if stands_alone(fragments.get(index + 1)) {
+                knots.push((frames[last].time_secs, correction));
+            }
+        }
+        let mut corrected = PoseCorrection { knots };
+        let to_first = corrected.at(frames[0].time_secs).inverse();
+        for (_, correction) in &mut corrected.knots {
+            *correction = to_first * *correction;
+        }
+        corrected
+    }
+
+    /// What a pose of that time is multiplied by from the left.
+    pub fn at(&self, time_secs: f64) -> Pose {
+        let after = self.knots.partition_point(|(time, _)| *time < time_secs);
+        match (
+            after.checked_sub(1).map(|k| &self.knots[k]),
+            self.knots.get(after),
+        ) {
+            (Some((start, a)), Some((end, b))) => {
+                between(a, b, (time_secs - start) / (end - start))
+            }
+            (Some((_, only)), None) | (None, Some((_, only))) => only.to_owned(),
+            (None, None) => Pose::identity(),
+        }
+    }
+
+    /// The pose of that time, moved.
+    pub fn apply(&self, time_secs: f64, world_from_camera: &Pose) -> Pose {
+        self.at(time_secs) * world_from_camera
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corrections_lie_between_their_neighbours_and_end_with_them() {
+        let shift = |x: f64| Pose::translation(x, 0.0, 0.0);
+        let correction = PoseCorrection {
+            knots: vec![
+                (1.0, shift(0.0)),
+                (2.0, shift(0.1)),
+                (2.0, shift(0.5)),
+                (4.0, shift(0.7)),
+            ],
+        };
+        let x_at = |time_secs| correction.at(time_secs).translation.vector.x;
+        for (time_secs, x) in [(0.0, 0.0), (1.5, 0.05), (2.0, 0.1), (3.0, 0.6), (9.0, 0.7)] {
+            assert!((x_at(time_secs) - x).abs() < 1e-12, "{time_secs}");
+        }
+        assert_eq!(PoseCorrection::default().at(3.0), Pose::identity());
+    }
+}

@@ -1,0 +1,200 @@
+//! Finding back into the model after tracking was lost: by the places where the camera has been.
+//!
+//! Small depth images, *thumbnails*, of places well apart are kept with their poses. A lost frame is aligned to the model as
+//! seen from the places that look most like it. Inliers and residual cannot tell a false lock from a true one, free space
+//! can: what the frame shows and what the model shows from the pose found must agree. Even then the pose is a hypothesis that
+//! the next frame has to confirm.
+//!
+//! Not handled: places that were never seen from near where the camera is now.
+
+use super::eye::Eye;
+use super::icp::CastModel;
+use super::pyramid::{FramePyramid, N_REDUCED};
+use super::raycast::{ModelMap, raycast_anywhere};
+use super::volume::TsdfVolume;
+use super::{Fit, FusionParams, MODEL_LEVEL, align, gates};
+use crate::geometry::{Pose, motion_between};
+use nalgebra::{Point3, Vector3};
+
+/// Columns and rows of a thumbnail.
+const COLUMNS: usize = 16;
+const ROWS: usize = 12;
+/// Depths that differ by more than this differ altogether, metres; arbitrary, the size of what is scanned.
+const MAX_DIFFERENCE_M: f32 = 0.1;
+/// A new place is so far from all others: alignment reaches twice as far.
+const PLACE_ROTATION_RAD: f64 = 0.15;
+const PLACE_TRANSLATION_M: f64 = 0.08;
+/// So many places at most, 20 m of path; later ones are not kept.
+const MAX_PLACES: usize = 2000;
+/// So many of the places that look most alike are tried.
+const N_CANDIDATES: usize = 5;
+/// Least share of the frame's points on the model; tracking believes in 0.35, but knows where it was before.
+const MIN_INLIER_SHARE: f64 = 0.5;
+/// Surfaces closer than this many sigmas of the depth noise are the same: drift of 10 mm and slant are to be allowed for.
+const AGREEING_SIGMAS: f32 = 6.0;
+/// Least share of the points that the model can judge, by which it agrees: 0.994 and more when true, up to 0.91 when the
+/// place is another one. A lock some centimetres off in the right place can reach 0.98; hence the choice among several.
+const MIN_AGREEING_SHARE: f64 = 0.95;
+/// Largest share of the points seen through the model: up to 0.016 when true; tracking allows for turns that uncover what
+/// was hidden.
+const MAX_SEE_THROUGH_SHARE: f64 = 0.02;
+
+/// Mean depths of the cells of a depth image, metres; 0 where most pixels are missing.
+type Thumbnail = Vec<f32>;
+
+/// The places where the camera has been.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Places(Vec<(Pose, Thumbnail)>);
+
+/// A pose that the next frame has to confirm.
+#[derive(Clone, Debug)]
+pub(super) struct Hypothesis {
+    pub(super) world_from_camera: Pose,
+    /// The model as seen from there.
+    pub(super) model: ModelMap,
+}
+
+impl Places {
+    /// Takes the place of a frame in if it is a new one.
+    pub(super) fn visit(&mut self, eye: &Eye, world_from_camera: &Pose) {
+        let is_near = |(place, _): &(Pose, Thumbnail)| {
+            let motion = motion_between(place, world_from_camera);
+            motion.rotation_rad < PLACE_ROTATION_RAD && motion.translation_m < PLACE_TRANSLATION_M
+        };
+        if self.0.len() < MAX_PLACES && !self.0.iter().any(is_near) {
+            self.0.push((*world_from_camera, thumbnail(&eye.frame)));
+        }
+    }
+
+    /// Poses of the places that look most like a frame, the likest first.
+    fn alike(&self, frame: &FramePyramid) -> Vec<Pose> {
+        let live = thumbnail(frame);
+        let mut places: Vec<(f32, Pose)> = self
+            .0
+            .iter()
+            .map(|(pose, seen)| (difference(&live, seen), *pose))
+            .collect();
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        places.truncate(N_CANDIDATES);
+        places.into_iter().map(|(_, pose)| pose).collect()
+    }
+
+    /// Where in the model a frame may have been taken: the candidate that looks least through the model of those that pass
+    /// every gate.
+    pub(super) fn relocalise(
+        &self,
+        eye: &Eye,
+        volume: &TsdfVolume,
+        params: &FusionParams,
+    ) -> Option<Hypothesis> {
+        let tried = self.alike(&eye.frame).into_iter();
+        let found = tried.filter_map(|place| lock(&place, eye, volume, params));
+        found
+            .min_by(|a, b| a.0.see_through_share.total_cmp(&b.0.see_through_share))
+            .map(|(_, hypothesis)| hypothesis)
+    }
+}
+
+/// Aligns the frame in hand to the model as seen from a place, then from where that puts it, and judges the result.
+fn lock(
+    place: &Pose,
+    eye: &Eye,
+    volume: &TsdfVolume,
+    params: &FusionParams,
+) -> Option<(Fit, Hypothesis)> {
+    let align_from = |pose: &Pose| {
+        let model = CastModel {
+            map: &seen_from(pose, eye, volume),
+            lens: &eye.level(MODEL_LEVEL).lens,
+            world_from_camera: pose,
+        };
+        align(eye, &model, volume, pose, &params.icp, &mut |_| {})
+    };
+    let (near, fit) = align_from(place)?;
+    if fit.inlier_share < params.min_inlier_share {
+        return None;
+    }
+    let (pose, fit) = align_from(&near)?;
+    gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
+    let model = believe(&pose, &fit, eye, volume)?;
+    Some((
+        fit,
+        Hypothesis {
+            world_from_camera: pose,
+            model,
+        },
+    ))
+}
+
+/// The model as seen from a pose that does not follow from the one before, if it can be believed.
+pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) -> Option<ModelMap> {
+    let model = seen_from(pose, eye, volume);
+    let is_true = fit.inlier_share >= MIN_INLIER_SHARE
+        && fit.see_through_share <= MAX_SEE_THROUGH_SHARE
+        && agreeing_share(eye, &model, pose) >= MIN_AGREEING_SHARE;
+    is_true.then_some(model)
+}
+
+fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume) -> ModelMap {
+    raycast_anywhere(volume, eye.level(MODEL_LEVEL), pose, eye.range)
+}
+
+/// Share of the pixels with a surface in both images where it is the same surface: neither does the camera look through the
+/// model, nor does something stand where the model was seen to be empty.
+fn agreeing_share(eye: &Eye, model: &ModelMap, pose: &Pose) -> f64 {
+    let level = eye.level(MODEL_LEVEL);
+    let camera_from_world = pose.inverse();
+    let (mut n_seen, mut n_agreeing) = (0usize, 0usize);
+    let surfaces = model.points.data().iter().zip(model.normals.data());
+    for (&z, (surface, normal)) in level.depth.iter().zip(surfaces) {
+        if z <= 0.0 || *normal == Vector3::zeros() {
+            continue;
+        }
+        let surface_camera = camera_from_world * Point3::from(surface.cast::<f64>());
+        // A pixel's depth varies over the pixel as it does on a slope of 75°.
+        let slope_m = 4.0 * z / level.rays.width as f32;
+        let margin_m = AGREEING_SIGMAS * eye.noise.sigma_m(z) + slope_m;
+        n_seen += 1;
+        n_agreeing += usize::from((surface_camera.z as f32 - z).abs() <= margin_m);
+    }
+    n_agreeing as f64 / n_seen.max(1) as f64
+}
+
+fn thumbnail(frame: &FramePyramid) -> Thumbnail {
+    let level = &frame.reduced[N_REDUCED - 1];
+    let (width, height) = (level.rays.width, level.rays.height);
+    let mut cells = Vec::with_capacity(COLUMNS * ROWS);
+    for row in 0..ROWS {
+        for column in 0..COLUMNS {
+            let (mut sum, mut n_valid, mut n) = (0.0, 0, 0);
+            for v in row * height / ROWS..(row + 1) * height / ROWS {
+                for u in column * width / COLUMNS..(column + 1) * width / COLUMNS {
+                    let z = level.depth[v * width + u];
+                    n += 1;
+                    n_valid += usize::from(z > 0.0);
+                    sum += z;
+                }
+            }
+            cells.push(if 2 * n_valid > n {
+                sum / n_valid as f32
+            } else {
+                0.0
+            });
+        }
+    }
+    cells
+}
+
+/// Mean difference of the cells in which either shows something, metres.
+fn difference(a: &Thumbnail, b: &Thumbnail) -> f32 {
+    let (mut sum, mut n) = (0.0, 0);
+    for (a, b) in a.iter().zip(b) {
+        match (*a > 0.0, *b > 0.0) {
+            (false, false) => continue,
+            (true, true) => sum += (a - b).abs().min(MAX_DIFFERENCE_M),
+            _ => sum += MAX_DIFFERENCE_M,
+        }
+        n += 1;
+    }
+    sum / n.max(1) as f32
+}

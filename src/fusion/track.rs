@@ -1,0 +1,57 @@
+//! The camera's recent motion, carried on to guess where the next frame was taken.
+
+use crate::geometry::{Pose, increment};
+use nalgebra::Vector6;
+
+/// The motion of the last frame is carried on over gaps up to this long.
+const MAX_PREDICTION_SECS: f64 = 0.12;
+
+/// The camera's recent motion.
+#[derive(Clone, Copy, Debug)]
+pub struct Track {
+    /// Where the last frame was taken.
+    pub world_from_camera: Pose,
+    /// When it was taken, on the device's clock, seconds.
+    pub time_secs: f64,
+    /// Turn and move per second in the camera frame.
+    velocity: Vector6<f64>,
+}
+
+impl Track {
+    /// A camera at rest.
+    pub fn at(world_from_camera: Pose, time_secs: f64) -> Self {
+        Track {
+            world_from_camera,
+            time_secs,
+            velocity: Vector6::zeros(),
+        }
+    }
+
+    /// Where the camera will be if it goes on moving.
+    pub fn predict(&self, time_secs: f64) -> Pose {
+        let elapsed = (time_secs - self.time_secs).clamp(0.0, MAX_PREDICTION_SECS);
+        self.world_from_camera * increment(&(self.velocity * elapsed))
+    }
+
+    /// Forgets how the camera moved.
+    pub fn stop(&mut self) {
+        self.velocity = Vector6::zeros();
+    }
+
+    /// The track after one more frame; the first one is no motion.
+    pub fn moved_to(&self, world_from_camera: Pose, time_secs: f64, has_moved: bool) -> Self {
+        let elapsed = time_secs - self.time_secs;
+        let step = self.world_from_camera.inverse() * world_from_camera;
+        let velocity = if has_moved && elapsed > 0.0 && elapsed < MAX_PREDICTION_SECS {
+            let (turn, shift) = (step.rotation.scaled_axis(), step.translation.vector);
+            Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z) / elapsed
+        } else {
+            Vector6::zeros()
+        };
+        Track {
+            world_from_camera,
+            time_secs,
+            velocity,
+        }
+    }
+}
