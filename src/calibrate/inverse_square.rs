@@ -1,11 +1,12 @@
 //! Whether light falls with the square of distance (Fig. 5): the exponent on a wall, over the whole image and by region.
 
 use super::Sensor;
+use super::estimate::{Estimate, Measured};
 use super::gather::{Scan, Target};
 use super::model::log_linear;
 use super::refusal::Refusal;
 use super::samples::{Place, Sample, Samples};
-use super::state::{Estimate, Measured, State};
+use super::state::State;
 
 /// How light falls with distance on one wall.
 #[derive(Clone, Debug)]

@@ -18,6 +18,7 @@
 
 mod depth_edges;
 mod edge_match;
+mod estimate;
 mod gather;
 mod interreflection;
 mod inverse_square;
@@ -34,13 +35,14 @@ mod state;
 #[cfg(test)]
 mod tests;
 
+pub use estimate::{Estimate, Measured, SessionFit};
 pub use gather::{Gatherer, Scan, Target, TargetImage};
 pub use inverse_square::{InverseSquare, N_REGIONS, inverse_square};
 pub use offset::{ImageOffset, OffsetError, OffsetEstimate, combine_offsets, image_offset};
 pub use refusal::Refusal;
 pub use response::{INCIDENCES, INLIER, PowerLaw, ResponseCheck, SHARES, response_check};
 pub use sphere::{BallRadius, FoundSphere};
-pub use state::{Estimate, Measured, Priors, SessionFit, State};
+pub use state::{Priors, State};
 
 use crate::geometry::RayGrid;
 use crate::shading::ImageNoise;

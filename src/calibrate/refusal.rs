@@ -1,7 +1,7 @@
 //! Why a calibration is refused, each with the figure that shows it.
 
+use super::estimate::{Estimate, SessionFit};
 use super::gather::{Scan, Target};
-use super::state::{Estimate, SessionFit};
 
 /// A session, or all of them, from which nothing can be learnt.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,9 +1,10 @@
 //! The response on the sphere (Sec. 3.3, Fig. 7): a plain power law by RANSAC, and how well the whole model fits.
 
+use super::estimate::Estimate;
 use super::gather::Scan;
 use super::model::log_linear;
 use super::samples::{MAX_INTERREFLECTED, SPHERE_STRIDE, Sample, sphere_samples};
-use super::state::{Estimate, State};
+use super::state::State;
 use super::{Refusal, Sensor};
 use crate::shading::{Tukey, median_absolute_deviation};
 use depth_camera::Image;

@@ -1,8 +1,9 @@
 //! The robust least squares problem: Levenberg–Marquardt over all unknowns, and their covariance.
 
+use super::estimate::{Estimate, SessionFit};
 use super::model::{Row, cap_row, intensity_row, limb_row};
 use super::samples::{Place, Sample, Samples};
-use super::state::{Estimate, Priors, SessionFit, State};
+use super::state::{Priors, State};
 use crate::shading::{Tukey, median_absolute_deviation};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;

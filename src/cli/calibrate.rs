@@ -1,8 +1,10 @@
 //! `relief calibrate`: what can be measured of a device, and what is asked for on the way.
 
-pub mod findings;
-pub mod offset;
-pub mod targets;
+mod findings;
+mod offset;
+mod page;
+mod print;
+mod targets;
 
 use super::run::Verdict;
 use anyhow::{Context, bail, ensure};

@@ -1,21 +1,13 @@
-//! What a calibration found: in words, as JSON, as figures for the device's file, and as a page.
+//! What a calibration found, in words and as figures for the device's file.
 
 use super::targets::Aim;
-use depth_camera::Image;
 use nalgebra::Point3;
 use relief::{
-    calibrate::{
-        Estimate, INCIDENCES, INLIER, InverseSquare, Measured, N_REGIONS, Priors, ResponseCheck,
-        SHARES, Scan, Sensor, Target,
-    },
+    calibrate::{Estimate, INLIER, InverseSquare, Measured, Priors, ResponseCheck, Scan, Target},
     config::CalibrationKey,
-    export::{
-        self, CalibrationPage, CalibrationResult, CalibrationSession, DistanceFigure, ExportError,
-        FlatFieldFigure, ResponseFigure,
-    },
+    export::{CalibrationResult, CalibrationSession},
 };
-use serde_json::json;
-use std::{collections::BTreeMap, path::Path, time::SystemTime};
+use std::collections::BTreeMap;
 
 /// Everything that a command learnt.
 pub struct Findings<'a> {
@@ -42,12 +34,10 @@ pub struct Findings<'a> {
 /// An axis is told by the data where its interval is at most this share of what was believed beforehand.
 const TELLING: f64 = 0.5;
 const AXES: [&str; 3] = ["x", "y", "z"];
-/// The flat field is sampled at every so many pixels for the page.
-const FLAT_STRIDE: usize = 4;
 
 impl Findings<'_> {
     /// Whether the data tell where the light is, by axis.
-    fn axes_told(&self) -> [bool; 3] {
+    pub(super) fn axes_told(&self) -> [bool; 3] {
         let sigma_m = self.priors.light_sigma_m;
         self.estimate
             .light_position()
@@ -65,7 +55,7 @@ impl Findings<'_> {
     }
 
     /// The exponent of the response that tests the inverse square law without taking it for granted, and where it is from.
-    fn independent_gamma(&self) -> (Measured, String) {
+    pub(super) fn independent_gamma(&self) -> (Measured, String) {
         match &self.spheres_alone {
             Some(alone) => (alone.gamma(), "of the spheres alone".to_owned()),
             None => (
@@ -117,7 +107,7 @@ impl Findings<'_> {
     }
 
     /// Relative standard deviation of lens and lobe together, over the flat field's grid and at its corners.
-    fn flat_uncertainty(&self) -> (f64, f64) {
+    pub(super) fn flat_uncertainty(&self) -> (f64, f64) {
         const N: usize = 12;
         let grid = &self.estimate.state.flat.grid;
         let at = |[first, last]: [f64; 2], k: usize| first + (last - first) * k as f64 / N as f64;
@@ -132,7 +122,7 @@ impl Findings<'_> {
         (rms, corners.into_iter().fold(0.0, f64::max))
     }
 
-    fn sessions(&self) -> Vec<CalibrationSession> {
+    pub(super) fn sessions(&self) -> Vec<CalibrationSession> {
         let fits = self.scans.iter().zip(&self.estimate.fits).enumerate();
         fits.map(|(index, (scan, fit))| CalibrationSession {
             name: scan.name.clone(),
@@ -152,7 +142,7 @@ impl Findings<'_> {
         .collect()
     }
 
-    fn results(&self) -> Vec<CalibrationResult> {
+    pub(super) fn results(&self) -> Vec<CalibrationResult> {
         let estimate = &self.estimate;
         let [by_x, by_y, by_z, by_lobe] = estimate.gamma_correlations();
         let mut results = vec![result(
@@ -243,7 +233,7 @@ impl Findings<'_> {
     }
 
     /// What a user must know.
-    fn remarks(&self) -> Vec<String> {
+    pub(super) fn remarks(&self) -> Vec<String> {
         /// Correlations above this mean that the data hardly part two unknowns.
         const INSEPARABLE: f64 = 0.95;
         let mut remarks = Vec::new();
@@ -317,183 +307,4 @@ fn interval(measured: &Measured, scale: f64, digits: usize) -> String {
         measured.value * scale,
         measured.half_width() * scale
     )
-}
-
-/// Prints what was found: text, or one JSON object.
-///
-/// # Errors
-/// Never: numbers that do not exist are `null`.
-pub fn print(findings: &Findings, as_json: bool) -> serde_json::Result<()> {
-    if as_json {
-        println!("{}", serde_json::to_string(&machine_readable(findings))?);
-        return Ok(());
-    }
-    for session in findings.sessions() {
-        println!(
-            "{}: {}, {} images, {} samples, {:.2} % off the model ({:.2} % is noise), {:.1} % outliers",
-            session.name,
-            session.target,
-            session.n_images,
-            session.n_samples,
-            session.deviation * 100.0,
-            session.noise * 100.0,
-            session.outlier_share * 100.0
-        );
-    }
-    for CalibrationResult {
-        name,
-        value,
-        remark,
-    } in findings.results()
-    {
-        match remark.as_str() {
-            "" => println!("{name:<36}{value}"),
-            remark => println!("{name:<36}{value}   ({remark})"),
-        }
-    }
-    for remark in findings.remarks() {
-        println!("note: {remark}");
-    }
-    println!("intervals are of 95 %");
-    Ok(())
-}
-
-fn machine_readable(findings: &Findings) -> serde_json::Value {
-    let measured = |m: &Measured| json!({"value": m.value, "half_interval_95": m.half_width()});
-    let estimate = &findings.estimate;
-    let (gamma, _) = findings.independent_gamma();
-    let (flat_rms, flat_corner) = findings.flat_uncertainty();
-    let exponents: BTreeMap<&str, serde_json::Value> = findings
-        .distances
-        .iter()
-        .map(|(index, law)| {
-            let exponent = InverseSquare::exponent(&law.product, &gamma);
-            let value = json!({
-                "exponent": measured(&exponent),
-                "gamma_times_exponent": measured(&law.product),
-                "range_m": law.range_m,
-            });
-            (findings.scans[*index].name.as_str(), value)
-        })
-        .collect();
-    let spheres: BTreeMap<&str, serde_json::Value> = findings
-        .responses
-        .iter()
-        .map(|(index, check)| {
-            let value = json!({
-                "radius_m": estimate.radius(*index).as_ref().map(measured),
-                "share_within": check.within,
-                "share_within_unmasked": check.within_unmasked,
-                "masked_share": check.masked_share,
-                "plain_gamma": check.plain.gamma,
-                "plain_share_within": check.plain.inlier_share,
-            });
-            (findings.scans[*index].name.as_str(), value)
-        })
-        .collect();
-    json!({
-        "status": "complete",
-        "gamma": measured(&estimate.gamma()),
-        "gamma_of_spheres_alone": findings.spheres_alone.as_ref().map(|e| measured(&e.gamma())),
-        "light_position_m": estimate.light_position().iter().map(measured).collect::<Vec<_>>(),
-        "light_told": findings.axes_told(),
-        "lobe_power": measured(&estimate.lobe_power()),
-        "flat_field": estimate.flat_is_measured.then(|| json!({"sigma_rms": flat_rms, "sigma_corners": flat_corner})),
-        "walls": exponents,
-        "spheres": spheres,
-        "notes": findings.remarks(),
-    })
-}
-
-/// Writes the page.
-///
-/// # Errors
-/// If the file cannot be written.
-pub fn write_page(
-    path: &Path,
-    findings: &Findings,
-    serial: &str,
-    sensor: &Sensor,
-) -> Result<(), ExportError> {
-    let page = CalibrationPage {
-        serial: serial.to_owned(),
-        sensor: sensor.kind.name().to_owned(),
-        date: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
-        command: findings.aim.name().to_owned(),
-        sessions: findings.sessions(),
-        results: findings.results(),
-        remarks: findings.remarks(),
-        response: findings
-            .responses
-            .first()
-            .map(|(_, check)| response_figure(findings, check)),
-        distance: findings
-            .distances
-            .first()
-            .map(|(_, law)| distance_figure(findings, law)),
-        flat_field: findings
-            .estimate
-            .flat_is_measured
-            .then(|| flat_field_figure(findings, sensor)),
-    };
-    export::write_calibration_page(path, &page)
-}
-
-fn response_figure(findings: &Findings, check: &ResponseCheck) -> ResponseFigure {
-    ResponseFigure {
-        gamma: findings.estimate.state.gamma,
-        scatter: check.scatter.clone(),
-        within: check.within,
-        inlier_bound: INLIER,
-        residuals: check.residuals.iter().map(|row| row.to_vec()).collect(),
-        shares: SHARES.to_vec(),
-        incidences: INCIDENCES.to_vec(),
-        residual_map: check.residual_map.clone(),
-    }
-}
-
-fn distance_figure(findings: &Findings, law: &InverseSquare) -> DistanceFigure {
-    let (gamma, _) = findings.independent_gamma();
-    let shown = |product: &Measured| {
-        let exponent = InverseSquare::exponent(product, &gamma);
-        (exponent.value, exponent.half_width())
-    };
-    DistanceFigure {
-        curve: law.curve.clone(),
-        exponent: shown(&law.product),
-        regions: std::array::from_fn::<_, N_REGIONS, _>(|row| {
-            law.region_products[row].map(|product| product.as_ref().map(shown))
-        }),
-    }
-}
-
-fn flat_field_figure(findings: &Findings, sensor: &Sensor) -> FlatFieldFigure {
-    let rays = sensor.rays.rays();
-    let (width, height) = (rays.width() / FLAT_STRIDE, rays.height() / FLAT_STRIDE);
-    let (mut factors, mut sigmas) = (Vec::new(), Vec::new());
-    for pixel in 0..width * height {
-        let [x, y] = rays.at(pixel % width * FLAT_STRIDE, pixel / width * FLAT_STRIDE);
-        let measured = findings
-            .estimate
-            .log_far_field(f64::from(*x), f64::from(*y));
-        let known = x.is_finite();
-        factors.push(if known {
-            measured.value.exp() as f32
-        } else {
-            f32::NAN
-        });
-        sigmas.push(if known {
-            measured.sigma as f32
-        } else {
-            f32::NAN
-        });
-    }
-    let [x, y] = rays.at(0, 0).map(f64::from);
-    let corner = findings.estimate.log_far_field(x, y);
-    FlatFieldFigure {
-        factor: Image::from_vec(width, height, factors),
-        sigma: Image::from_vec(width, height, sigmas),
-        corner: (corner.value.exp(), corner.half_width()),
-        sigma_rms: findings.flat_uncertainty().0,
-    }
 }

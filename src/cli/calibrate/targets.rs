@@ -1,10 +1,7 @@
 //! `relief calibrate response|flat-field|light`: gather the sessions, fit Eq. (1) to all of them, say what was found, and
 //! write what the command is for into the device's file.
 
-use super::{
-    TargetArgs,
-    findings::{self as report, Findings},
-};
+use super::{TargetArgs, findings::Findings, page::write_page, print::print};
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, bail, ensure};
 use depth_camera::{CameraInfo, DepthCamera};
@@ -94,7 +91,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     };
     let priors = priors(aim, args, &sessions.info, &found)?;
     let findings = investigate(aim, &sessions.scans, &sensor, priors, &found)?;
-    report::print(&findings, args.json)?;
+    print(&findings, args.json)?;
 
     let page = args
         .page
@@ -108,7 +105,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
         tracing::info!(path = %path.display(), "calibration written");
     }
     if !args.file.dry_run || args.page.is_some() {
-        report::write_page(&page, &findings, &sessions.serial, &sensor)?;
+        write_page(&page, &findings, &sessions.serial, &sensor)?;
         tracing::info!(page = %page.display(), "page written");
     }
     Ok(Verdict::Done)
