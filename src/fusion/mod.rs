@@ -71,6 +71,12 @@ use volume::TsdfVolume;
 /// The model image has 1/4 of the frame's resolution; the signed distances themselves give the last accuracy.
 const MODEL_LEVEL: usize = 1;
 
+/// Settling on the finished model: iterations as of [`IcpParams::sdf_iterations`], and how far a view may go. Closing a turn
+/// of 2 m moved views by up to 10 mm against one another, of which interpolation leaves a part.
+const SETTLING_ITERATIONS: [usize; 2] = [4, 8];
+const MAX_SETTLING_RAD: f64 = 0.02;
+const MAX_SETTLING_M: f64 = 0.01;
+
 /// The model and the camera's place in it.
 #[derive(Clone)]
 pub struct Fusion {
@@ -170,6 +176,24 @@ impl Fusion {
         let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume)?;
         (self.volume, self.band) = (closed.volume, closed.band);
         Some(closed.closure)
+    }
+
+    /// Where a depth image (m) lies best on the finished model, near a pose that is known: what was tracked against half a
+    /// model, or moved by closing a loop, settles on the surface that is delivered. `None` if it would go further than
+    /// tracking and correction err, or hardly lies on the model.
+    pub fn settle(&mut self, depth: &Image<f32>, world_from_camera: &Pose) -> Option<Pose> {
+        if !self.eye.take(depth) {
+            return None;
+        }
+        let eye = &self.eye;
+        let (levels, volume, noise) = (&eye.frame.reduced, &self.volume, &eye.noise);
+        let (arch, guess) = (eye.arch, world_from_camera);
+        let (pose, _) =
+            sdf_alignment::align(arch, levels, volume, guess, noise, SETTLING_ITERATIONS)?;
+        let motion = motion_between(world_from_camera, &pose);
+        let is_near =
+            motion.rotation_rad < MAX_SETTLING_RAD && motion.translation_m < MAX_SETTLING_M;
+        is_near.then_some(pose)
     }
 
     /// The model as the camera saw it after the last fused frame, at a quarter of the resolution.

@@ -1,8 +1,9 @@
 //! Tracking and fusion against the simulated camera's truth.
 
 use super::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
-use crate::geometry::{CameraModel, Pose, motion_between};
+use crate::geometry::{CameraModel, Pose, increment, motion_between};
 use depth_camera::{DepthCamera, Frame, Image, Sensor};
+use nalgebra::Vector6;
 use simulated::SimulatedCamera;
 use std::time::Duration;
 
@@ -236,4 +237,29 @@ fn a_scene_beyond_the_volume_is_told_of() {
     fusion.fuse_at(depth, 0.1, &far);
     let refusal = fusion.refusal().expect("20 m away");
     assert!(refusal.contains("beyond the volume's border"), "{refusal}");
+}
+
+#[test]
+fn a_view_settles_on_the_finished_model() {
+    let (frames, _, camera) = frames(10);
+    let mut fusion = fusion(camera);
+    let tracked: Vec<Pose> = frames
+        .iter()
+        .map(|frame| match fuse(&mut fusion, frame) {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => world_from_camera,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    let depth = frames[6].depth.as_ref().expect("Kinect II");
+    let astray = Vector6::new(0.003, -0.002, 0.004, 0.002, 0.001, -0.003);
+    let settled = fusion.settle(depth, &(increment(&astray) * tracked[6]));
+    let motion = motion_between(&tracked[6], &settled.expect("near"));
+    assert!(motion.translation_m < 0.0008, "{motion:?}");
+    assert!(motion.rotation_rad < 0.0015, "{motion:?}");
+    // Tracking does not err by 5 cm: a view so far off is not led about.
+    let far = increment(&Vector6::new(0.0, 0.0, 0.0, 0.05, 0.0, 0.0)) * tracked[6];
+    let led = fusion.settle(depth, &far);
+    assert!(led.is_none_or(|pose| motion_between(&far, &pose).translation_m < 0.01));
 }

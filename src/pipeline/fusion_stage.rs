@@ -281,6 +281,9 @@ impl FusionStage {
             if let Some(closure) = &closure {
                 self.correct(closure, snapshots.as_mut());
             }
+            if self.poses.is_none() {
+                self.settle(snapshots.as_mut());
+            }
             self.summary.refusal = self.fusion.refusal();
             let (fusion, pool) = (&self.fusion, &self.pool);
             let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
@@ -308,6 +311,18 @@ impl FusionStage {
         .filter_map(StageClock::timing)
         .collect();
         self.summary
+    }
+
+    /// Lets the shading images settle on the finished model.
+    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        let (fusion, pool) = (&mut self.fusion, &self.pool);
+        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
+            let settled =
+                pool.install(|| fusion.settle(&snapshot.depth_m, &snapshot.world_from_camera));
+            if let Some(pose) = settled {
+                snapshot.world_from_camera = pose;
+            }
+        }
     }
 
     /// Moves all poses that were handed out to where closing the loops has put them.
