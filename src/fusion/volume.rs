@@ -292,11 +292,16 @@ fn growth(len: usize, least: usize, most: usize) -> Result<usize, Refusal> {
     }
 }
 
-/// Largest integer not above x, without a call into the mathematics library.
-#[inline]
+/// 1.5 · 2²³: adding it to a number within ±2²² leaves the number, rounded, in the low bits.
+const ROUND: f32 = 12_582_912.0;
+
+/// Largest integer not above x for x within ±2²²; for any other, one that lies beyond every volume. A cast would do the same
+/// and saturate, which compilers turn into scalar code.
+#[inline(always)]
 fn floor(x: f32) -> i32 {
-    let truncated = x as i32;
-    truncated - i32::from(x < truncated as f32)
+    let shifted = x + ROUND;
+    let rounded = (shifted.to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32);
+    rounded - i32::from(shifted - ROUND > x)
 }
 
 /// Index of a voxel within its block.
@@ -357,6 +362,29 @@ pub(super) mod tests {
             // Second-order error of trilinear interpolation: h²/4R = 0.03 mm.
             assert!((distance - 0.001).abs() < 5e-5);
             assert!((gradient - direction).norm() < 0.05);
+        }
+    }
+
+    #[test]
+    fn floor_is_exact_where_there_are_voxels_and_out_of_bounds_elsewhere() {
+        for step in -40_000..40_000 {
+            let x = step as f32 * 0.137;
+            assert_eq!(floor(x), x.floor() as i32, "{x}");
+        }
+        for x in [-1.0, -0.0, 0.0, 0.5, -0.5, 1e-9, -1e-9, 4_000_000.5] {
+            assert_eq!(floor(x), x.floor() as i32, "{x}");
+        }
+        for x in [
+            5e6,
+            -5e6,
+            -12_582_912.0,
+            1e30,
+            -1e30,
+            f32::INFINITY,
+            f32::NEG_INFINITY,
+            f32::NAN,
+        ] {
+            assert!(floor(x).unsigned_abs() > 1 << 22, "{x}");
         }
     }
 
