@@ -55,9 +55,8 @@ impl Overlap {
 const MAX_DISTANCE_M: [f32; 3] = [0.04, 0.02, 0.01];
 /// Iterations at each of them, at most.
 const ITERATIONS: usize = 8;
-/// One row in so many at each of them, and one column: averaged surfaces have little noise left that more points would take
-/// off, and the first two only lead to the last.
-const POINT_STEP: [usize; 3] = [4, 4, 2];
+/// One row in so many, and one column: averaged surfaces have little noise left that more points would take off.
+const POINT_STEP: usize = 2;
 /// Largest angle between the normals of a pair: 40°.
 const MIN_NORMAL_COSINE: f32 = 0.766;
 
@@ -71,14 +70,10 @@ pub(super) fn align(
 ) -> Option<Alignment> {
     let mut target_from_source = *guess;
     let mut last = None;
-    for (max_distance_m, step) in MAX_DISTANCE_M.into_iter().zip(POINT_STEP) {
-        let points = Points {
-            map: &source.map,
-            step,
-        };
+    for max_distance_m in MAX_DISTANCE_M {
         for _ in 0..ITERATIONS {
             let moved = Moved::new(&target_from_source);
-            let equations = point_to_plane(&points, &target.map, &moved, eye, max_distance_m);
+            let equations = point_to_plane(&source.map, &target.map, &moved, eye, max_distance_m);
             let step = equations.solve(&Vector3::zeros())?;
             target_from_source = step * target_from_source;
             last = Some(equations);
@@ -120,27 +115,20 @@ impl Moved {
 /// Rows of points that are summed in one go.
 const TILE_ROWS: usize = 8;
 
-/// Points of a fragment: one row in so many, and one column.
-struct Points<'a> {
-    map: &'a ModelMap,
-    step: usize,
-}
-
 fn point_to_plane(
-    points: &Points,
+    source: &ModelMap,
     target: &ModelMap,
     moved: &Moved,
     eye: &Eye,
     max_distance_m: f32,
 ) -> NormalEquations {
-    let (source, step) = (points.map, points.step);
     let (width, height) = (source.points.width(), source.points.height());
-    let n_rows = height.div_ceil(step);
+    let n_rows = height.div_ceil(POINT_STEP);
     NormalEquations::of_tiles(n_rows.div_ceil(TILE_ROWS), |tile| {
         let (mut sums, mut rows, mut n_filled) = (TileSums::ZERO, Rows::EMPTY, 0);
         for row in tile * TILE_ROWS..((tile + 1) * TILE_ROWS).min(n_rows) {
-            for u in (0..width).step_by(step) {
-                let pixel = row * step * width + u;
+            for u in (0..width).step_by(POINT_STEP) {
+                let pixel = row * POINT_STEP * width + u;
                 let pair = pair_of(source, pixel, target, moved, eye, max_distance_m);
                 let Some((point, normal, residual, weight)) = pair else {
                     continue;
