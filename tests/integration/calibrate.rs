@@ -165,6 +165,15 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
 
     let again = calibrate("response", &[&sphere, &wall], &folder);
     assert_says(&again, 2, &["gamma is there already", "--replace"]);
+    // The README's order: one command after the other into one file.
+    for what in ["flat-field", "light"] {
+        let output = calibrate(what, &[&sphere, &wall], &folder);
+        assert_says(&output, 0, &["calibration written", "page written"]);
+    }
+    let device = DeviceCalibration::read(&folder.join("simulated-3.toml")).unwrap();
+    let [x, y, z] = device.light.position_m.unwrap();
+    assert!((x - 0.052).hypot(y).hypot(z - 0.004) < 0.006, "{x} {y} {z}");
+    assert!(device.flat_field.is_some() && device.gamma == Some(gamma));
     let walls_only = calibrate("response", &[&wall], &folder);
     assert_says(&walls_only, 1, &["no session shows a sphere"]);
     let spheres_only = calibrate("flat-field", &[&sphere], &folder);

@@ -12,7 +12,7 @@ use relief::{
         estimate, inverse_square, response_check,
     },
     config::{
-        self, CalibrationKey, CalibrationPlaces, DeviceCalibration, FoundCalibration,
+        self, CalibrationKey, CalibrationPlaces, DeviceCalibration, FoundCalibration, KeyOrigin,
         MeasuredSession, Measurement, calibration_path, merge_into_file,
     },
     fusion::FusionParams,
@@ -275,6 +275,10 @@ fn investigate<'a>(
         priors,
         known_gamma: found.calibration.gamma,
         gamma_origin: found.origins[&CalibrationKey::Gamma].to_string(),
+        lobe_is_measured: matches!(
+            found.origins[&CalibrationKey::LightLobePower],
+            KeyOrigin::File(_)
+        ),
     })
 }
 
@@ -321,11 +325,12 @@ fn write(
         }
         Aim::Light => {
             device.light.position_m = Some(findings.believed_position().into());
-            device.light.lobe_power = Some(state.light.lobe_power);
-            keys.extend([
-                CalibrationKey::LightPosition,
-                CalibrationKey::LightLobePower,
-            ]);
+            keys.push(CalibrationKey::LightPosition);
+            // Place and lobe were fitted together; a lobe that was measured with the flat field belongs to that.
+            if !findings.lobe_is_measured {
+                device.light.lobe_power = Some(state.light.lobe_power);
+                keys.push(CalibrationKey::LightLobePower);
+            }
         }
     }
     let time = SystemTime::now();
