@@ -6,7 +6,7 @@ pub mod calibrate;
 pub mod run;
 pub mod summary;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, ensure};
 use calibrate::CalibrateCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use depth_camera::Sensor;
@@ -206,18 +206,7 @@ impl FromStr for RoiArg {
     type Err = anyhow::Error;
 
     fn from_str(text: &str) -> anyhow::Result<Self> {
-        let mut numbers = Vec::new();
-        for number in text.split(',') {
-            let value: f64 = number
-                .trim()
-                .parse()
-                .with_context(|| format!("\"{number}\" is no number"))?;
-            ensure!(value.is_finite(), "{value} must be finite");
-            numbers.push(value);
-        }
-        let [x_min, y_min, z_min, x_max, y_max, z_max] = numbers[..] else {
-            bail!("{} numbers, must be 6", numbers.len());
-        };
+        let [x_min, y_min, z_min, x_max, y_max, z_max] = numbers(text)?;
         for (axis, min, max) in [
             ("x", x_min, x_max),
             ("y", y_min, y_max),
@@ -233,6 +222,21 @@ impl FromStr for RoiArg {
             max: Point3::new(x_max, y_max, z_max),
         }))
     }
+}
+
+/// So many finite numbers between commas.
+fn numbers<const N: usize>(text: &str) -> anyhow::Result<[f64; N]> {
+    let mut numbers = Vec::new();
+    for number in text.split(',') {
+        let value: f64 = number
+            .trim()
+            .parse()
+            .with_context(|| format!("\"{number}\" is no number"))?;
+        ensure!(value.is_finite(), "{value} must be finite");
+        numbers.push(value);
+    }
+    let n_numbers = numbers.len();
+    <[f64; N]>::try_from(numbers).map_err(|_| anyhow!("{n_numbers} numbers, must be {N}"))
 }
 
 #[cfg(test)]

@@ -5,8 +5,9 @@ use super::estimate::{Estimate, Measured};
 use super::gather::{Scan, Target};
 use super::model::log_linear;
 use super::refusal::Refusal;
-use super::samples::{Place, Sample, Samples};
+use super::samples::{Place, Sample, wall_intensities};
 use super::state::State;
+use crate::shading::median;
 
 /// How light falls with distance on one wall.
 #[derive(Clone, Debug)]
@@ -52,11 +53,8 @@ pub fn inverse_square(
 ) -> Result<InverseSquare, Refusal> {
     let (scan, state) = (&scans[session], &estimate.state);
     debug_assert_eq!(scan.target, Target::Wall);
-    let samples = Samples::gather(scans, sensor, state);
-    let points: Vec<Point> = samples
-        .intensities
+    let points: Vec<Point> = wall_intensities(scan, session, sensor)
         .iter()
-        .filter(|sample| sample.session == session)
         .filter_map(|sample| point(sample, state))
         .collect();
     let whole = by_image(&points, state.gamma, |_| true);
@@ -130,13 +128,12 @@ fn by_image(points: &[Point], gamma: f64, keep: impl Fn(&Point) -> bool) -> Vec<
     let kept: Vec<&Point> = points.iter().filter(|p| keep(p)).collect();
     kept.chunk_by(|a, b| a.image_number == b.image_number)
         .filter(|image| image.len() >= MIN_SAMPLES)
-        .map(|image| {
+        .filter_map(|image| {
             let n = image.len() as f64;
             let log_distance = image.iter().map(|p| p.log_distance).sum::<f64>() / n;
             let mut residuals: Vec<f64> = image.iter().map(|p| p.residual).collect();
-            let middle = residuals.len() / 2;
-            let median = *residuals.select_nth_unstable_by(middle, f64::total_cmp).1;
-            [log_distance, median - 2.0 * gamma * log_distance]
+            let residual = median(&mut residuals)?;
+            Some([log_distance, residual - 2.0 * gamma * log_distance])
         })
         .collect()
 }

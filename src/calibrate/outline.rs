@@ -11,6 +11,7 @@ use super::refusal::Refusal;
 use super::samples::{Cap, LimbPoint, Samples};
 use super::solve::Problem;
 use super::state::{Priors, SphereState, State};
+use crate::shading::median;
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3};
 use std::f64::consts::TAU;
@@ -288,12 +289,10 @@ pub fn measure_cap(
     if ranges.len() < 50 {
         return None;
     }
-    let middle = ranges.len() / 2;
-    let range_m = *ranges.select_nth_unstable_by(middle, f64::total_cmp).1;
     Some(Cap {
         session,
         image,
-        range_m,
+        range_m: median(&mut ranges)?,
     })
 }
 

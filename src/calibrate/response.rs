@@ -132,27 +132,27 @@ fn polished(pairs: &[[f64; 2]], gamma: f64, log_scale: f64) -> Option<(f64, f64)
     })
 }
 
-/// Logarithms of rendered and observed intensity of all sphere pixels of a scan, the rendering without
-/// interreflection or albedo.
-pub(super) fn rendered_pairs(
-    scan: &Scan,
-    session: usize,
-    sensor: &Sensor,
-    state: &State,
-) -> Vec<[f64; 2]> {
+/// Logarithms of rendered and observed intensity of a session's sphere pixels, the rendering without interreflection or
+/// albedo.
+pub(super) fn rendered_pairs(samples: &[Sample], session: usize, state: &State) -> Vec<[f64; 2]> {
     let mut plain = state.clone();
     plain.sessions[session].log_albedo = 0.0;
     if let Some(sphere) = &mut plain.sessions[session].sphere {
         sphere.reflectance = 0.0;
     }
-    let samples = pixels(scan, session, sensor, state);
     samples
         .iter()
         .filter_map(|sample| Some([log_linear(sample, &plain)?.0, sample.log_observed]))
         .collect()
 }
 
-fn pixels(scan: &Scan, session: usize, sensor: &Sensor, state: &State) -> Vec<Sample> {
+/// All pixels of a scan's sphere that camera and light see well, masked or not.
+pub(super) fn sphere_pixels(
+    scan: &Scan,
+    session: usize,
+    sensor: &Sensor,
+    state: &State,
+) -> Vec<Sample> {
     let images = scan.images.iter().enumerate();
     images
         .flat_map(|(image, shown)| sphere_samples([session, image, image], shown, sensor, state))
@@ -179,19 +179,18 @@ pub fn response_check(
             interreflected_share,
         })
     };
-    let samples = pixels(scan, session, sensor, state);
+    let samples = sphere_pixels(scan, session, sensor, state);
     let compared: Vec<(f64, Compared)> = samples
         .iter()
         .filter_map(|sample| Some((incidence(sample, state)?, compare(sample)?)))
         .collect();
-    let plain =
-        plain_power_law(&rendered_pairs(scan, session, sensor, state)).ok_or_else(|| {
-            Refusal::FewSamples {
-                session: scan.name.clone(),
-                n_samples: compared.len(),
-                required: 10,
-            }
-        })?;
+    let plain = plain_power_law(&rendered_pairs(&samples, session, state)).ok_or_else(|| {
+        Refusal::FewSamples {
+            session: scan.name.clone(),
+            n_samples: compared.len(),
+            required: 10,
+        }
+    })?;
     let is_masked = |c: &Compared| c.interreflected_share >= MAX_INTERREFLECTED;
     let unmasked = || compared.iter().filter(|(_, c)| !is_masked(c));
     let thin = compared.len().div_ceil(MAX_SCATTER).max(1);

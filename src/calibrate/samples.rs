@@ -152,6 +152,18 @@ impl Samples {
     }
 }
 
+/// The intensities of a session's wall.
+pub fn wall_intensities(scan: &Scan, session: usize, sensor: &Sensor) -> Vec<Sample> {
+    let images = scan.images.iter().enumerate();
+    images
+        .filter_map(|(number, shown)| match shown.place {
+            TargetPlace::Wall(plane) => Some(wall_samples(session, number, shown, &plane, sensor)),
+            TargetPlace::Sphere(_) => None,
+        })
+        .flatten()
+        .collect()
+}
+
 /// The sample, trusted as far as its interreflection is known; `None` where that is too much.
 fn unmasked(sample: Sample, state: &State) -> Option<Sample> {
     let (_, share) = log_linear(&sample, state)?;

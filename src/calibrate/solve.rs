@@ -4,7 +4,7 @@ use super::estimate::{Estimate, SessionFit};
 use super::model::{Row, cap_row, intensity_row, limb_row};
 use super::samples::{Place, Sample, Samples};
 use super::state::{Priors, State};
-use crate::shading::{Tukey, median_absolute_deviation};
+use crate::shading::{Tukey, median, median_absolute_deviation};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -325,15 +325,11 @@ impl<'a> Problem<'a> {
                     }
                 }
                 let n_samples = noises.len();
-                let middle = n_samples / 2;
                 SessionFit {
                     n_images: images.len(),
                     n_samples,
                     deviation: median_absolute_deviation(&mut deviations),
-                    noise: match n_samples {
-                        0 => 0.0,
-                        _ => *noises.select_nth_unstable_by(middle, f64::total_cmp).1,
-                    },
+                    noise: median(&mut noises).unwrap_or(0.0),
                     outlier_share: n_outliers as f64 / n_samples.max(1) as f64,
                 }
             })

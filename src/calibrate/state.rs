@@ -4,9 +4,9 @@ use super::Sensor;
 use super::gather::{Place, Scan, Target};
 use super::model::log_linear;
 use super::refusal::Refusal;
-use super::response::{plain_power_law, rendered_pairs};
+use super::response::{plain_power_law, rendered_pairs, sphere_pixels};
 use super::samples::{Sample, Samples};
-use crate::shading::{FlatField, FlatMap, NearLight, SplineGrid};
+use crate::shading::{FlatField, FlatMap, NearLight, SplineGrid, median};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// What is believed beforehand.
@@ -113,7 +113,8 @@ impl State {
     pub fn start_intensities(&mut self, scans: &[Scan], sensor: &Sensor) {
         let sphere = (0..scans.len()).find(|session| self.sessions[*session].sphere.is_some());
         if let Some(session) = sphere {
-            let pairs = rendered_pairs(&scans[session], session, sensor, self);
+            let pixels = sphere_pixels(&scans[session], session, sensor, self);
+            let pairs = rendered_pairs(&pixels, session, self);
             if let Some(law) = plain_power_law(&pairs) {
                 self.gamma = law.gamma;
             }
@@ -130,11 +131,7 @@ impl State {
             .map(|session| {
                 let of_session = samples.iter().filter(|sample| sample.session == session);
                 let mut excesses: Vec<f64> = of_session.filter_map(excess).collect();
-                let middle = excesses.len() / 2;
-                match excesses.len() {
-                    0 => 0.0,
-                    _ => *excesses.select_nth_unstable_by(middle, f64::total_cmp).1,
-                }
+                median(&mut excesses).unwrap_or(0.0)
             })
             .collect();
         for (session, median) in self.sessions.iter_mut().zip(medians) {

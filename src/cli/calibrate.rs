@@ -6,10 +6,12 @@ mod page;
 mod print;
 mod targets;
 
-use super::run::Verdict;
-use anyhow::{Context, bail, ensure};
+use super::{numbers, run::Verdict};
+use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
-use std::{path::PathBuf, str::FromStr};
+use depth_camera::{DepthCamera, Frame};
+use replay::ReplayCamera;
+use std::{path::PathBuf, str::FromStr, time::Duration};
 use targets::Aim;
 
 /// What to measure.
@@ -47,6 +49,16 @@ pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
         CalibrateCommand::FlatField(args) => targets::calibrate(Aim::FlatField, args),
         CalibrateCommand::Light(args) => targets::calibrate(Aim::Light, args),
         CalibrateCommand::Offset(args) => offset::offset(args),
+    }
+}
+
+/// The next frame of a recording that is not damaged; `None` at its end.
+fn next_frame(camera: &mut ReplayCamera) -> anyhow::Result<Option<Frame>> {
+    loop {
+        match camera.grab(Duration::ZERO) {
+            Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
+            other => return Ok(other?),
+        }
     }
 }
 
@@ -130,19 +142,11 @@ impl FromStr for PlaceArg {
     type Err = anyhow::Error;
 
     fn from_str(text: &str) -> anyhow::Result<Self> {
-        let mut numbers = Vec::new();
-        for number in text.split(',') {
-            let value: f64 = number
-                .trim()
-                .parse()
-                .with_context(|| format!("\"{number}\" is no number"))?;
+        let place = numbers(text)?;
+        for value in place {
             ensure!(value.abs() <= 2.0, "{value} must be -2 to 2");
-            numbers.push(value);
         }
-        match numbers[..] {
-            [x, y, z] => Ok(PlaceArg([x, y, z])),
-            _ => bail!("{} numbers, must be 3", numbers.len()),
-        }
+        Ok(PlaceArg(place))
     }
 }
 

@@ -17,7 +17,8 @@ const N_TRIED: usize = 3;
 const FALSE_M: f64 = 0.04;
 const FALSE_RAD: f64 = 0.06;
 
-fn session(name: &str) -> Option<PathBuf> {
+/// A recorded session's folder, `None` if it is not there.
+pub(crate) fn session(name: &str) -> Option<PathBuf> {
     let bench = std::env::var_os("RELIEF_BENCH").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/bench"),
         PathBuf::from,

@@ -41,7 +41,7 @@ mod pose_correction;
 mod pose_graph;
 
 #[cfg(test)]
-mod bench_tests;
+pub(crate) mod bench_tests;
 mod block_masks;
 mod cube_cases;
 mod marching_cubes;

@@ -14,4 +14,4 @@ pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
 pub use light::NearLight;
 pub use linear::{LinearImage, linearise};
-pub use tukey::{Tukey, median_absolute_deviation};
+pub use tukey::{Tukey, median, median_absolute_deviation};

@@ -26,12 +26,14 @@ impl Tukey {
 /// Robust standard deviation: the median of the absolute values times 1.4826, which is exact for Gaussian residuals. 0
 /// without values; their order changes.
 pub fn median_absolute_deviation(residuals: &mut [f64]) -> f64 {
-    if residuals.is_empty() {
-        return 0.0;
-    }
     for residual in residuals.iter_mut() {
         *residual = residual.abs();
     }
-    let middle = residuals.len() / 2;
-    1.4826 * *residuals.select_nth_unstable_by(middle, f64::total_cmp).1
+    1.4826 * median(residuals).unwrap_or(0.0)
+}
+
+/// The value in the middle, the upper one of two; `None` without values, whose order changes.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

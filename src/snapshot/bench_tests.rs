@@ -6,26 +6,12 @@
 use super::information::Optics;
 use super::speckle::texture;
 use super::{RejectReason, SnapshotParams, SnapshotSelection, SnapshotSelector, scenes};
-use crate::fusion::TrackingOutcome;
+use crate::fusion::{TrackingOutcome, bench_tests::session};
 use crate::geometry::Pose;
 use depth_camera::DepthCamera;
 use replay::ReplayCamera;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
-
-/// A session's folder, `None` if it is not there.
-fn session(name: &str) -> Option<PathBuf> {
-    let bench = std::env::var_os("RELIEF_BENCH").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/bench"),
-        PathBuf::from,
-    );
-    let folder = bench.join("sessions").join(name);
-    if folder.exists() {
-        return Some(folder);
-    }
-    println!("skipped: no recording at {}", folder.display());
-    None
-}
 
 /// Times of the images under the lamp, in the order of the list.
 fn lamp_times(folder: &Path) -> Vec<f64> {

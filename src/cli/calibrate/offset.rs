@@ -1,6 +1,6 @@
 //! `relief calibrate offset`: where the IR image lies against the depth image.
 
-use super::OffsetArgs;
+use super::{OffsetArgs, next_frame};
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, ensure};
 use depth_camera::{DepthCamera, Frame, Sensor};
@@ -15,11 +15,7 @@ use relief::{
     snapshot::{SnapshotParams, SnapshotSelector, TrackedFrame},
 };
 use replay::ReplayCamera;
-use std::{
-    collections::BTreeMap,
-    path::Path,
-    time::{Duration, SystemTime},
-};
+use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
 /// What a raw Kinect I is said to have, pixels.
 const NOMINAL_PX: [f64; 2] = [5.0, 4.0];
@@ -104,16 +100,6 @@ fn of_every_frame(camera: &mut ReplayCamera, full_scale: f64) -> anyhow::Result<
         }
     }
     Ok(offsets)
-}
-
-/// The next frame that is not damaged.
-fn next_frame(camera: &mut ReplayCamera) -> anyhow::Result<Option<Frame>> {
-    loop {
-        match camera.grab(Duration::ZERO) {
-            Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
-            other => return Ok(other?),
-        }
-    }
 }
 
 fn depth_share(frame: &Frame) -> f64 {

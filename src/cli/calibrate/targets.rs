@@ -1,7 +1,7 @@
 //! `relief calibrate response|flat-field|light`: gather the sessions, fit Eq. (1) to all of them, say what was found, and
 //! write what the command is for into the device's file.
 
-use super::{TargetArgs, findings::Findings, page::write_page, print::print};
+use super::{TargetArgs, findings::Findings, next_frame, page::write_page, print::print};
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, bail, ensure};
 use depth_camera::{CameraInfo, DepthCamera};
@@ -23,7 +23,7 @@ use replay::ReplayCamera;
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
-    time::{Duration, SystemTime},
+    time::SystemTime,
 };
 
 /// What a command is to find.
@@ -126,13 +126,8 @@ fn gather(args: &TargetArgs) -> anyhow::Result<Sessions> {
         }
         let mut gatherer = Gatherer::new(&info, FusionParams::default())
             .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
-        loop {
-            match camera.grab(Duration::ZERO) {
-                Ok(Some(frame)) => gatherer.observe(&frame),
-                Ok(None) => break,
-                Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
-                Err(error) => return Err(error.into()),
-            }
+        while let Some(frame) = next_frame(&mut camera)? {
+            gatherer.observe(&frame);
         }
         let scan = gatherer.finish(&session_name(session), radius)?;
         tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
