@@ -15,7 +15,8 @@ pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
 
 use crate::{
-    capture::CaptureParams, fusion::FusionParams, refine::RefineParams, snapshot::SnapshotParams,
+    capture::CaptureParams, fusion::FusionParams, multipath::MultipathParams, refine::RefineParams,
+    snapshot::SnapshotParams,
 };
 use serde::{Deserialize, Serialize};
 use std::{fs, path::Path};
@@ -45,6 +46,8 @@ impl ConfigError {
 pub struct Config {
     /// The device thread and the recorder.
     pub capture: CaptureParams,
+    /// Multipath of a Kinect II.
+    pub multipath: MultipathParams,
     /// Tracking and fusion.
     pub fusion: FusionParams,
     /// Selection of shading images.
@@ -110,6 +113,7 @@ impl Config {
     /// Names the key, its value and the bound.
     pub fn validate(&self) -> Result<(), String> {
         self.capture.validate()?;
+        self.multipath.validate()?;
         self.fusion.validate()?;
         self.snapshot.validate()?;
         self.refine.validate()

@@ -8,7 +8,8 @@
 use super::Sensor;
 use super::gather::TargetImage;
 use super::state::State;
-use nalgebra::{Matrix3, Point3, Vector3};
+use crate::geometry::{DepthPatch, PixelSquare};
+use nalgebra::{Point3, Vector3};
 use std::f64::consts::PI;
 
 /// The patches round a sphere in one image.
@@ -25,10 +26,6 @@ struct Patch {
 
 /// Side of a patch, pixels.
 const PATCH_PX: usize = 10;
-/// Patches whose depth differs by more than this share are edges.
-const MAX_DEPTH_STEP: f64 = 0.12;
-/// Grazing patches are taken at this cosine: their area is uncertain.
-const MIN_COSINE: f64 = 0.08;
 /// Depth within this distance of the sphere's surface is the sphere, metres; multipath near the contact bends it.
 const OFF_SPHERE_M: f64 = 0.012;
 
@@ -78,53 +75,33 @@ struct Scene<'a> {
 
 impl Scene<'_> {
     /// The plane through the depth of a square of pixels, and its mean brightness.
-    fn patch(&self, u0: usize, v0: usize) -> Option<Patch> {
-        let (mut points, mut linear) = (Vec::with_capacity(PATCH_PX * PATCH_PX), 0.0);
-        for v in v0..v0 + PATCH_PX {
-            for u in u0..u0 + PATCH_PX {
-                let [x, y] = self.sensor.rays.rays().at(u, v).map(f64::from);
-                let z = f64::from(*self.shown.depth_m.at(u, v));
-                if z <= 0.0 || !x.is_finite() {
-                    continue;
-                }
-                points.push(Vector3::new(x, y, 1.0) * z);
+    fn patch(&self, u: usize, v: usize) -> Option<Patch> {
+        let square = PixelSquare {
+            u,
+            v,
+            side: PATCH_PX,
+            step: 1,
+        };
+        let depth_m = &self.shown.depth_m;
+        let DepthPatch {
+            centre,
+            normal,
+            area_m2,
+        } = DepthPatch::fit(depth_m, self.sensor.rays, square)?;
+        let (mut linear, mut n) = (0.0, 0);
+        for (u, v) in square.pixels() {
+            let [x, y] = self.sensor.rays.rays().at(u, v).map(f64::from);
+            if *depth_m.at(u, v) > 0.0 && x.is_finite() {
                 let observed = f64::from(*self.shown.ir_counts.at(u, v)) / self.sensor.full_scale;
                 linear += observed.max(0.0).powf(1.0 / self.state.gamma)
                     / self.state.flat.log_factor(x, y).exp();
+                n += 1;
             }
         }
-        patch_of(&points, linear, self.sensor)
+        Some(Patch {
+            point: centre,
+            normal,
+            weight: linear / f64::from(n) * area_m2 / PI,
+        })
     }
-}
-
-/// The plane through points, whose linear intensities sum to `linear`.
-fn patch_of(points: &[Vector3<f64>], linear: f64, sensor: &Sensor) -> Option<Patch> {
-    if points.len() < PATCH_PX * PATCH_PX / 2 {
-        return None;
-    }
-    let n = points.len() as f64;
-    let middle = points.iter().sum::<Vector3<f64>>() / n;
-    let nearest = points.iter().map(|p| p.z).fold(f64::MAX, f64::min);
-    let farthest = points.iter().map(|p| p.z).fold(0.0, f64::max);
-    if farthest - nearest > MAX_DEPTH_STEP * middle.z {
-        return None;
-    }
-    let scatter: Matrix3<f64> = points
-        .iter()
-        .map(|p| (p - middle) * (p - middle).transpose())
-        .sum();
-    let eigen = scatter.symmetric_eigen();
-    let normal: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
-    let normal = normal * -normal.dot(&middle).signum();
-    let cosine = (-normal.dot(&middle) / middle.norm()).max(MIN_COSINE);
-    let i = sensor.rays.camera().intrinsics();
-    // Area of the pixels at this depth, seen from the camera, over the slant: d² dω / cosθ with dω = cos³/(fx fy).
-    let axis_cosine = middle.z / middle.norm();
-    let solid_angle = n * axis_cosine.powi(3) / (i.fx * i.fy);
-    let area_m2 = middle.norm_squared() * solid_angle / cosine;
-    Some(Patch {
-        point: Point3::from(middle),
-        normal,
-        weight: linear / n * area_m2 / PI,
-    })
 }

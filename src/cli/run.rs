@@ -96,6 +96,7 @@ fn pipeline_params(
     Ok(PipelineParams {
         session: session_name(&args.session),
         capture: config.capture,
+        multipath: config.multipath,
         fusion: config.fusion,
         snapshot: config.snapshot,
         refine: (!args.no_refine).then_some(config.refine),

@@ -117,6 +117,9 @@ fn read(path: &Path, info: &CameraInfo) -> Result<FoundCalibration, ConfigError>
         .map(|key| (key, KeyOrigin::File(None)))
         .into();
     origins.insert(CalibrationKey::LightPosition, position);
+    if calibration.light.white_level.is_none() {
+        origins.insert(CalibrationKey::LightWhiteLevel, KeyOrigin::Estimated);
+    }
     Ok(FoundCalibration {
         calibration,
         source,

@@ -56,6 +56,9 @@ pub struct MeasuredLight {
     /// Position in the IR camera frame, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
+    /// Linear intensity of a perfectly white surface a metre before the light, share of full scale.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub white_level: Option<f64>,
 }
 
 impl DeviceCalibration {
@@ -121,6 +124,7 @@ impl DeviceCalibration {
             CalibrationKey::FlatField => self.flat_field.is_some(),
             CalibrationKey::LightLobePower => self.light.lobe_power.is_some(),
             CalibrationKey::LightPosition => self.light.position_m.is_some(),
+            CalibrationKey::LightWhiteLevel => self.light.white_level.is_some(),
             CalibrationKey::Noise => self.noise.is_some(),
             CalibrationKey::IrOffset => self.ir_offset_px.is_some(),
         }
@@ -138,6 +142,7 @@ impl DeviceCalibration {
         let light = LightCalibration {
             lobe_power: self.light.lobe_power.unwrap_or(shipped.light.lobe_power),
             position_m: self.light.position_m.or(shipped.light.position_m),
+            white_level: self.light.white_level.or(shipped.light.white_level),
         };
         let calibration = Calibration {
             gamma: self.gamma.unwrap_or(shipped.gamma),
@@ -154,6 +159,7 @@ impl DeviceCalibration {
         match key {
             key if self.holds(key) => KeyOrigin::File(self.measured.get(&key).map(|m| m.date)),
             CalibrationKey::LightPosition | CalibrationKey::IrOffset => KeyOrigin::Stated,
+            CalibrationKey::LightWhiteLevel => KeyOrigin::Estimated,
             _ => KeyOrigin::Shipped,
         }
     }
@@ -165,6 +171,7 @@ impl DeviceCalibration {
             CalibrationKey::FlatField => self.flat_field.clone_from(&from.flat_field),
             CalibrationKey::LightLobePower => self.light.lobe_power = from.light.lobe_power,
             CalibrationKey::LightPosition => self.light.position_m = from.light.position_m,
+            CalibrationKey::LightWhiteLevel => self.light.white_level = from.light.white_level,
             CalibrationKey::Noise => self.noise = from.noise,
             CalibrationKey::IrOffset => self.ir_offset_px = from.ir_offset_px,
         }
@@ -182,6 +189,7 @@ impl DeviceCalibration {
             CalibrationKey::FlatField => self.flat_field.as_ref().map(ToString::to_string),
             CalibrationKey::LightLobePower => number(self.light.lobe_power),
             CalibrationKey::LightPosition => self.light.position_m.map(|p| format!("{p:?}")),
+            CalibrationKey::LightWhiteLevel => number(self.light.white_level),
             CalibrationKey::Noise => self
                 .noise
                 .map(|noise| format!("read {}, shot {}", noise.read, noise.shot)),
@@ -244,6 +252,7 @@ mod tests {
                 "flat_field: shipped",
                 "light.lobe_power: shipped",
                 "light.position_m: file",
+                "light.white_level: estimated from each scan",
                 "noise: shipped",
                 "ir_offset_px: as the session states",
             ]

@@ -19,6 +19,9 @@ pub enum CalibrationKey {
     /// Where the light is.
     #[serde(rename = "light.position_m")]
     LightPosition,
+    /// How bright the light is.
+    #[serde(rename = "light.white_level")]
+    LightWhiteLevel,
     /// Noise of an IR pixel.
     #[serde(rename = "noise")]
     Noise,
@@ -29,11 +32,12 @@ pub enum CalibrationKey {
 
 impl CalibrationKey {
     /// All of them, in the order of the file.
-    pub const ALL: [CalibrationKey; 6] = [
+    pub const ALL: [CalibrationKey; 7] = [
         CalibrationKey::Gamma,
         CalibrationKey::FlatField,
         CalibrationKey::LightLobePower,
         CalibrationKey::LightPosition,
+        CalibrationKey::LightWhiteLevel,
         CalibrationKey::Noise,
         CalibrationKey::IrOffset,
     ];
@@ -45,6 +49,7 @@ impl CalibrationKey {
             CalibrationKey::FlatField => "flat_field",
             CalibrationKey::LightLobePower => "light.lobe_power",
             CalibrationKey::LightPosition => "light.position_m",
+            CalibrationKey::LightWhiteLevel => "light.white_level",
             CalibrationKey::Noise => "noise",
             CalibrationKey::IrOffset => "ir_offset_px",
         }
@@ -108,6 +113,8 @@ pub enum KeyOrigin {
     Shipped,
     /// The device's or session's own statement: the light's position, and that IR and depth share one grid.
     Stated,
+    /// Nothing tells it beforehand: each scan finds it by itself.
+    Estimated,
 }
 
 impl fmt::Display for KeyOrigin {
@@ -117,6 +124,7 @@ impl fmt::Display for KeyOrigin {
             KeyOrigin::File(None) => f.write_str("file"),
             KeyOrigin::Shipped => f.write_str("shipped"),
             KeyOrigin::Stated => f.write_str("as the session states"),
+            KeyOrigin::Estimated => f.write_str("estimated from each scan"),
         }
     }
 }

@@ -63,7 +63,7 @@ impl Fragment {
         // The anchor comes last: its frame is then in hand to look from.
         let others = stretch.clone().filter(|&index| index != anchor);
         for index in others.chain([anchor]) {
-            if eye.take(&frames[index].depth.unpack()) {
+            if eye.take(&frames[index].depth_m()) {
                 let anchor_from_camera = anchor_from_world * frames[index].world_from_camera;
                 eye.fuse_into(&mut volume, &mut band, &anchor_from_camera, &mut |_| {});
             }

@@ -6,18 +6,25 @@
 use super::eye::Eye;
 use super::packed_depth::PackedDepth;
 use crate::geometry::Pose;
+use depth_camera::Image;
 
 /// A frame that was fused.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
-    /// Clipped depth.
-    pub depth: PackedDepth,
+    pub(super) depth: PackedDepth,
     /// When it was taken, on the device's clock, seconds.
     pub time_secs: f64,
     /// Where it was fused.
     pub world_from_camera: Pose,
     /// Which stretch of unbroken tracking it belongs to.
     pub stretch: usize,
+}
+
+impl Keyframe {
+    /// Depth as it was fused, metres, 0 is none, in steps of 0.1 mm.
+    pub fn depth_m(&self) -> Image<f32> {
+        self.depth.unpack()
+    }
 }
 
 /// The frames, in order of time.
@@ -86,7 +93,7 @@ mod tests {
     use super::*;
     use crate::fusion::{DepthNoise, FusionParams};
     use crate::geometry::camera::tests::distorted_camera;
-    use depth_camera::{Image, Sensor};
+    use depth_camera::Sensor;
 
     #[test]
     fn memory_stays_bounded_and_the_frames_evenly_spread() {

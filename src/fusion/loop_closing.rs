@@ -193,7 +193,7 @@ fn fuse_again(
     let mut eye = eye.clone();
     let (mut volume, mut band) = (params.empty_volume(), Band::default());
     for frame in frames {
-        if eye.take(&frame.depth.unpack()) {
+        if eye.take(&frame.depth_m()) {
             let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
             eye.fuse_into(&mut volume, &mut band, &pose, &mut |_| {});
         }

@@ -49,6 +49,7 @@ mod marching_cubes;
 mod tests;
 
 pub use icp::IcpParams;
+pub use keyframes::Keyframe;
 #[cfg(test)]
 pub(crate) use lens::arch_levels;
 pub use loop_closing::{LoopClosingParams, LoopClosure};
@@ -64,6 +65,7 @@ use band::Band;
 use depth_camera::Image;
 use eye::Eye;
 use keyframes::Keyframes;
+use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
 use track::Track;
 use volume::TsdfVolume;
@@ -131,9 +133,7 @@ impl Fusion {
         on_step: &mut OnStep,
     ) -> TrackingOutcome {
         if !self.eye.take(depth) {
-            self.track.stop();
-            self.hypothesis = None;
-            self.is_interrupted = true;
+            self.interrupt();
             return TrackingOutcome::NoDepth;
         }
         on_step(FusionStep::Preprocess);
@@ -199,6 +199,25 @@ impl Fusion {
     /// The model as the camera saw it after the last fused frame, at a quarter of the resolution.
     pub fn model(&self) -> Option<&ModelMap> {
         self.model.as_ref()
+    }
+
+    /// The frames that were tracked and fused, in order of time; where memory for them is short, every second or fourth.
+    pub fn keyframes(&self) -> &[Keyframe] {
+        self.keyframes.frames()
+    }
+
+    /// Distance to the model's surface (m, positive outside) and its gradient at a point of the world; `None` where the model
+    /// knows nothing.
+    pub fn signed_distance(&self, point_world: &Point3<f64>) -> Option<(f64, Vector3<f64>)> {
+        let sample = self.volume.sample_with_gradient(&point_world.coords.cast());
+        sample.map(|(distance, gradient)| (f64::from(distance), gradient.cast()))
+    }
+
+    /// Says that frames are missing between the last one and the next, which may show another place.
+    pub fn interrupt(&mut self) {
+        self.track.stop();
+        self.hypothesis = None;
+        self.is_interrupted = true;
     }
 
     /// Number of frames in the model.

@@ -12,6 +12,11 @@ pub struct PoseCorrection {
 }
 
 impl PoseCorrection {
+    /// The correction that is known at some times (seconds, not decreasing): what is multiplied from the left to a pose.
+    pub fn of_knots(knots: Vec<(f64, Pose)>) -> Self {
+        PoseCorrection { knots }
+    }
+
     /// The correction that takes every fragment's anchor to its node (world from anchor); the first frame stays in place. No
     /// interpolation across a break of tracking.
     pub(super) fn of_fragments(

@@ -7,6 +7,7 @@
 mod bvh;
 pub(crate) mod camera;
 mod mesh;
+mod patch;
 mod pose;
 mod rasterise;
 mod triangle;
@@ -14,5 +15,6 @@ mod triangle;
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use mesh::{EdgeAdjacency, TriMesh};
+pub use patch::{DepthPatch, PixelSquare};
 pub use pose::{Motion, Pose, between, increment, mean_pose, motion_between};
 pub use rasterise::{DepthBuffer, rasterise};

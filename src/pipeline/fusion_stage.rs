@@ -1,6 +1,7 @@
 //! The fusion thread: frames in, and at the end of the stream one scan out: base mesh, camera poses, shading images.
 
 use super::{
+    depth_correction::DepthCorrection,
     edges::FrameReceiver,
     given_poses::GivenPoses,
     losses::Losses,
@@ -10,7 +11,7 @@ use super::{
 use crate::{
     capture::{Event, EventKind, Tracked},
     export::StageTiming,
-    fusion::{DepthNoise, Fusion, FusionParams, LoopClosure, TrackingOutcome},
+    fusion::{DepthNoise, Fusion, FusionParams, LoopClosure, PoseCorrection, TrackingOutcome},
     geometry::{CameraModel, Pose, TriMesh, motion_between},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
 };
@@ -27,6 +28,8 @@ pub struct FusionSetup {
     pub fusion: FusionParams,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
+    /// What takes multipath off the depth; `None` for a camera that has none.
+    pub correction: Option<DepthCorrection>,
     /// Poses to fuse at instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Where tracking computes.
@@ -92,7 +95,10 @@ pub fn run(
 
 /// What the fusion thread has in hand.
 struct FusionStage {
+    info: CameraInfo,
+    params: FusionParams,
     fusion: Fusion,
+    correction: Option<DepthCorrection>,
     selector: Option<SnapshotSelector>,
     poses: Option<GivenPoses>,
     pool: ThreadPool,
@@ -103,6 +109,7 @@ struct FusionStage {
     trajectory: Vec<(f64, Pose)>,
     last_depth: Option<Image<f32>>,
     had_depth: bool,
+    correction_clock: StageClock,
     fusion_clock: StageClock,
     selection_clock: StageClock,
 }
@@ -114,8 +121,11 @@ impl FusionStage {
         FusionStage {
             fusion: setup
                 .pool
-                .install(|| Fusion::new(camera, noise, setup.fusion)),
+                .install(|| Fusion::new(camera, noise, setup.fusion.clone())),
             selector: SnapshotSelector::new(&setup.info, setup.snapshot),
+            correction: setup.correction,
+            info: setup.info,
+            params: setup.fusion,
             poses: setup.poses,
             pool: setup.pool,
             status: setup.status,
@@ -124,6 +134,7 @@ impl FusionStage {
             trajectory: Vec::new(),
             last_depth: None,
             had_depth: true,
+            correction_clock: StageClock::new("multipath"),
             fusion_clock: StageClock::new("tracking and fusion"),
             selection_clock: StageClock::new("selection of shading images"),
         }
@@ -131,6 +142,7 @@ impl FusionStage {
 
     /// One frame: track and fuse it, tell what became of it, and consider it for shading.
     fn handle(&mut self, frame: &Arc<Frame>) {
+        let frame = &self.corrected(frame);
         match self.fuse(frame) {
             Some(outcome) => {
                 self.account(frame, &outcome);
@@ -140,6 +152,19 @@ impl FusionStage {
         }
         self.note_refusal();
         self.publish();
+    }
+
+    /// The frame without multipath, as far as that is known now.
+    fn corrected(&mut self, frame: &Arc<Frame>) -> Arc<Frame> {
+        let Some(correction) = &mut self.correction else {
+            return frame.clone();
+        };
+        correction.thin_out(&self.fusion);
+        let pool = &self.pool;
+        let corrected = self
+            .correction_clock
+            .time(|| pool.install(|| correction.correct(frame)));
+        corrected.map_or_else(|| frame.clone(), Arc::new)
     }
 
     /// Says once that the model takes nothing more.
@@ -274,12 +299,14 @@ impl FusionStage {
         if self.summary.n_fused > 0 {
             self.status.update(|status| status.phase = Phase::Meshing);
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
+            self.revise(snapshots.as_mut());
             let closure = closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
                 pool.install(|| fusion.close_loops())
             });
             if let Some(closure) = &closure {
-                self.correct(closure, snapshots.as_mut());
+                tell_of(closure);
+                self.correct(&closure.correction, snapshots.as_mut());
             }
             if self.poses.is_none() {
                 self.settle(snapshots.as_mut());
@@ -302,6 +329,7 @@ impl FusionStage {
             }));
         }
         self.summary.timings = [
+            self.correction_clock,
             self.fusion_clock,
             self.selection_clock,
             closing_clock,
@@ -325,16 +353,28 @@ impl FusionStage {
         }
     }
 
-    /// Moves all poses that were handed out to where closing the loops has put them.
-    fn correct(&mut self, closure: &LoopClosure, snapshots: Option<&mut SnapshotSelection>) {
-        tracing::info!(
-            n_fragments = closure.n_fragments,
-            n_loops = closure.n_loops,
-            misfit_before_m = closure.misfit_before_m,
-            misfit_after_m = closure.misfit_after_m,
-            "loops closed"
-        );
-        let correction = &closure.correction;
+    /// Fuses the scan again if its views agree better with another strength of multipath.
+    fn revise(&mut self, mut snapshots: Option<&mut SnapshotSelection>) {
+        let Some(correction) = &mut self.correction else {
+            return;
+        };
+        let (fusion, info, params, pool) = (&self.fusion, &self.info, &self.params, &self.pool);
+        let revised = self
+            .correction_clock
+            .time(|| pool.install(|| correction.revise(fusion, info, params)));
+        let Some(revised) = revised else {
+            return;
+        };
+        self.fusion = revised.fusion;
+        for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
+            snapshot.depth_m =
+                correction.revised_depth(&snapshot.depth_m, snapshot.device_time_secs);
+        }
+        self.correct(&revised.correction, snapshots);
+    }
+
+    /// Moves all poses that were handed out.
+    fn correct(&mut self, correction: &PoseCorrection, snapshots: Option<&mut SnapshotSelection>) {
         for (time_secs, pose) in &mut self.trajectory {
             *pose = correction.apply(*time_secs, pose);
         }
@@ -349,4 +389,14 @@ impl FusionStage {
             .sum();
         self.send(Tracked::Corrected(self.trajectory.clone()));
     }
+}
+
+fn tell_of(closure: &LoopClosure) {
+    tracing::info!(
+        n_fragments = closure.n_fragments,
+        n_loops = closure.n_loops,
+        misfit_before_m = closure.misfit_before_m,
+        misfit_after_m = closure.misfit_after_m,
+        "loops closed"
+    );
 }

@@ -23,6 +23,7 @@ mod recorder_stage;
 mod refine_stage;
 
 mod deliver;
+mod depth_correction;
 mod output_folder;
 mod pictures;
 mod report;
@@ -38,12 +39,14 @@ pub use status::{Phase, Status};
 use crate::{
     capture::{CaptureParams, IrOffset, Recorder},
     fusion::FusionParams,
+    multipath::MultipathParams,
     refine::{RefineParams, Roi},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
 use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera};
+use depth_correction::DepthCorrection;
 use device_stage::DeviceSetup;
 use edges::DropCounts;
 use fusion_stage::FusionSetup;
@@ -64,6 +67,8 @@ pub struct PipelineParams {
     pub session: String,
     /// The device thread and the recorder.
     pub capture: CaptureParams,
+    /// Multipath of a Kinect II.
+    pub multipath: MultipathParams,
     /// Tracking and fusion.
     pub fusion: FusionParams,
     /// Selection of shading images.
@@ -233,6 +238,7 @@ fn fusion_setup(
         info: info.clone(),
         fusion: params.fusion.clone(),
         snapshot: params.snapshot.clone(),
+        correction: DepthCorrection::new(info, &params.calibration, &params.multipath),
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),

@@ -32,6 +32,10 @@ pub struct LightCalibration {
     /// Measured position in the IR camera frame, metres; without it the device's own statement holds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
+    /// Measured brightness: linear intensity, as a share of full scale, that a perfectly white surface shows a metre before
+    /// the light and facing it; it tells how strong multipath is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub white_level: Option<f64>,
 }
 
 impl LightCalibration {
@@ -135,7 +139,12 @@ impl Calibration {
                 return Err(format!("light.position_m holds {value}, must be -2 to 2"));
             }
         }
-        Ok(())
+        match self.light.white_level {
+            Some(level) if !(level > 1e-4 && level <= 1e3) => Err(format!(
+                "light.white_level is {level}, must be 0.0001 to 1000"
+            )),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -8,6 +8,7 @@ use relief::{
     export::{read_ply, read_trajectory},
     fusion::FusionParams,
     geometry::motion_between,
+    multipath::MultipathParams,
     pipeline::{Ending, Outcome, OutputFolder, Pipeline, PipelineParams, WhenFull},
     refine::RefineParams,
     shading::Calibration,
@@ -22,6 +23,7 @@ fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
     PipelineParams {
         session: "plaque".to_owned(),
         capture: CaptureParams::default(),
+        multipath: MultipathParams::default(),
         fusion: FusionParams {
             voxel_size_m: 0.003,
             ..FusionParams::default()

@@ -13,6 +13,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
     ("fusion", &["geometry"]),
+    ("multipath", &["geometry", "shading", "fusion"]),
     ("snapshot", &["geometry", "shading", "fusion"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("refine", &["geometry", "shading", "snapshot"]),
@@ -23,6 +24,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "config",
         &[
             "capture",
+            "multipath",
             "fusion",
             "snapshot",
             "refine",
@@ -33,7 +35,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "pipeline",
         &[
-            "geometry", "shading", "capture", "fusion", "snapshot", "refine", "export",
+            "geometry",
+            "shading",
+            "capture",
+            "multipath",
+            "fusion",
+            "snapshot",
+            "refine",
+            "export",
         ],
     ),
     ("control", &["pipeline"]),

@@ -99,7 +99,7 @@ impl Findings<'_> {
                     add(&format!("{name}_gamma_times_exponent"), law.product.value);
                 }
             }
-            CalibrationKey::Noise | CalibrationKey::IrOffset => {}
+            CalibrationKey::LightWhiteLevel | CalibrationKey::Noise | CalibrationKey::IrOffset => {}
         }
         for (scan, fit) in self.scans.iter().zip(&self.estimate.fits) {
             add(&format!("{}_deviation", scan.name), fit.deviation);

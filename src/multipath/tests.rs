@@ -1,0 +1,239 @@
+use super::bounce::bounces;
+use super::patches::Lit;
+use super::*;
+use crate::fusion::{DepthNoise, Fusion, FusionParams};
+use crate::geometry::Pose;
+use crate::geometry::camera::tests::distorted_camera;
+use depth_camera::Light;
+use nalgebra::UnitQuaternion;
+use std::time::Instant;
+
+fn lit(point: [f32; 3], normal: [f32; 3], area_m2: f32, radiance: f32, direct: f32) -> Lit {
+    Lit {
+        point,
+        normal,
+        area_m2,
+        radiance,
+        direct,
+        light_m: point.iter().map(|x| x * x).sum::<f32>().sqrt(),
+    }
+}
+
+#[test]
+fn a_patch_receives_what_the_form_factor_of_another_says() {
+    // Two squares of a right-angled corner, 0.1 m from its edge, seen from the corner's diagonal.
+    let receiver = lit([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 0.0, 0.0, 0.4);
+    let source = lit([0.1, 0.0, 1.1], [0.0, 0.0, -1.0], 0.003, 0.5, 0.4);
+    let Some(bounce) = bounces(&[Some(receiver)], &[source])[0] else {
+        panic!("it receives light");
+    };
+    // L cosθ cosθ' dA/r² over the direct light; both angles are 45° and r² is 0.02.
+    let share = 0.5 * 0.5 * 0.003 / 0.02 / 0.4;
+    assert!(
+        (bounce.share / share - 1.0).abs() < 1e-5,
+        "{}",
+        bounce.share
+    );
+    let longer = source.light_m + 0.02f32.sqrt() - receiver.light_m;
+    assert!((bounce.range_m / (0.5 * longer * share) - 1.0).abs() < 1e-5);
+}
+
+#[test]
+fn patches_that_face_away_send_nothing() {
+    let receiver = lit([0.0, 0.0, 1.0], [0.0, 0.0, -1.0], 0.0, 0.0, 1.0);
+    let behind = lit([0.1, 0.0, 1.2], [0.0, 0.0, -1.0], 0.01, 1.0, 1.0);
+    let turned = lit([0.1, 0.0, 0.8], [0.0, 0.0, -1.0], 0.01, 1.0, 1.0);
+    assert_eq!(
+        bounces(&[Some(receiver)], &[behind, turned])[0],
+        Some(Default::default())
+    );
+}
+
+/// A white ball of 0.1 m on a table, seen by a Kinect II that sees no multipath.
+struct Scene {
+    info: CameraInfo,
+    calibration: Calibration,
+}
+
+const RADIUS_M: f64 = 0.1;
+const ALBEDO: f64 = 0.6;
+const WHITE: WhiteLevel = WhiteLevel(0.3);
+
+impl Scene {
+    fn new() -> Self {
+        let info = CameraInfo {
+            sensor: Sensor::Kinect2,
+            serial: "ball".to_owned(),
+            driver: None,
+            intrinsics: *distorted_camera().intrinsics(),
+            ir_full_scale: Some(65535.0),
+            light: Some(Light {
+                position_m: [0.05, 0.0, 0.0],
+                kind: LightKind::Emitter,
+            }),
+            n_frames: None,
+        };
+        let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
+        Scene { info, calibration }
+    }
+
+    /// Cameras round the ball, 35° above the table, 0.6 m away; the world's origin is the ball's foot, z is up.
+    fn poses() -> Vec<Pose> {
+        (0..10)
+            .map(|k| {
+                let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.15 * f64::from(k));
+                let eye = turn * Vector3::new(0.5, 0.0, 0.1 + 0.035 * f64::from(k));
+                let forward = (Vector3::new(0.0, 0.0, 0.06) - eye).normalize();
+                let right = forward.cross(&Vector3::z()).normalize();
+                let axes =
+                    nalgebra::Matrix3::from_columns(&[right, forward.cross(&right), forward]);
+                let rotation = nalgebra::Rotation3::from_matrix_unchecked(axes);
+                Pose::from_parts(eye.into(), UnitQuaternion::from_rotation_matrix(&rotation))
+            })
+            .collect()
+    }
+
+    fn frame(&self, world_from_camera: &Pose) -> Frame {
+        let rays = RayGrid::new(distorted_camera());
+        let light = self
+            .calibration
+            .light
+            .near_light(&self.info.light.expect("given"));
+        let (mut depth, mut ir) = (Vec::new(), Vec::new());
+        for &[x, y] in rays.rays().data() {
+            let ray = Vector3::new(f64::from(x), f64::from(y), 1.0);
+            let direction = world_from_camera.rotation * ray;
+            let seen = hit(&world_from_camera.translation.vector, &direction);
+            let Some((z, normal)) = seen.filter(|(z, _)| *z < 1.5) else {
+                depth.push(0.0);
+                ir.push(0);
+                continue;
+            };
+            let point = Point3::from(ray * z);
+            let normal = world_from_camera.rotation.inverse() * normal;
+            let lit = WHITE.0 * ALBEDO * light.irradiance(&point, &normal).max(0.0);
+            let lit = lit * self.calibration.flat_field.factor(ray.x, ray.y);
+            depth.push(z as f32);
+            ir.push((65535.0 * lit.min(1.0).powf(self.calibration.gamma)) as u16);
+        }
+        Frame {
+            frame_id: 0,
+            device_time_secs: 0.0,
+            host_time: Instant::now(),
+            depth: Some(Image::from_vec(512, 424, depth)),
+            ir: Some(Image::from_vec(512, 424, ir)),
+        }
+    }
+}
+
+/// Depth and normal of the ball or the table along a ray.
+fn hit(eye: &Vector3<f64>, direction: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
+    let centre = Vector3::new(0.0, 0.0, RADIUS_M);
+    let (a, b) = (direction.norm_squared(), direction.dot(&(eye - centre)));
+    let root = b * b - a * ((eye - centre).norm_squared() - RADIUS_M * RADIUS_M);
+    if root > 0.0 {
+        let z = (-b - root.sqrt()) / a;
+        return Some((z, (eye + direction * z - centre) / RADIUS_M));
+    }
+    let z = -eye.z / direction.z;
+    (z > 0.0).then_some((z, Vector3::z()))
+}
+
+#[test]
+fn the_foot_of_a_ball_looks_farther_away_than_its_top_and_correction_undoes_itself() {
+    let scene = Scene::new();
+    let multipath = Multipath::new(&scene.info, &scene.calibration).expect("time of flight");
+    let frame = scene.frame(&Scene::poses()[5]);
+    let prediction = multipath.predict(&frame).expect("much is seen");
+    // The ball's own albedo is the brightest there is.
+    assert!(
+        (prediction.plausible_white.0 / WHITE.0 - 1.0).abs() < 0.1,
+        "{prediction:?}"
+    );
+    let depth = frame.depth.as_ref().expect("given");
+    let longer = multipath.corrected(depth, &prediction.bias, Some(WHITE), None);
+    let bias_at = |world: Vector3<f64>| {
+        let point = Scene::poses()[5].inverse() * Point3::from(world);
+        let pixel = distorted_camera().project(&point).expect("in the image");
+        let (u, v) = (pixel.x.round() as usize, pixel.y.round() as usize);
+        longer.at(u, v) - depth.at(u, v)
+    };
+    let towards = Scene::poses()[5].translation.vector.xy().normalize() * 0.1;
+    let (top, side) = (
+        bias_at(Vector3::new(0.0, 0.0, 0.199)),
+        bias_at(Vector3::new(0.9 * towards.x, 0.9 * towards.y, 0.055)),
+    );
+    assert!(top < 1e-3 && side > 3e-3, "top {top}, side {side}");
+    let again = multipath.corrected(&longer, &prediction.bias, None, Some(WHITE));
+    for (a, b) in again.data().iter().zip(depth.data()) {
+        assert!((a - b).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn views_of_a_biased_scan_tell_that_there_is_multipath_and_corrected_ones_that_there_is_none() {
+    let scene = Scene::new();
+    let multipath = Multipath::new(&scene.info, &scene.calibration).expect("time of flight");
+    let params = FusionParams {
+        voxel_size_m: 0.004,
+        min_surface_weight: 0.0,
+        ..FusionParams::default()
+    };
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    let poses = Scene::poses();
+    let seen: Vec<_> = poses
+        .iter()
+        .map(|pose| {
+            let frame = scene.frame(pose);
+            let bias = multipath.predict(&frame).expect("much is seen").bias;
+            let depth = frame.depth.expect("given");
+            (multipath.corrected(&depth, &bias, Some(WHITE), None), bias)
+        })
+        .collect();
+    let slope = |white: Option<WhiteLevel>| {
+        let mut fusion = Fusion::new(distorted_camera(), noise, params.clone());
+        let depths: Vec<Image<f32>> = seen
+            .iter()
+            .map(|(depth, bias)| multipath.corrected(depth, bias, None, white))
+            .collect();
+        for (index, (depth, pose)) in depths.iter().zip(&poses).enumerate() {
+            fusion.fuse_at(depth, index as f64, pose);
+        }
+        let views: Vec<Seen> = depths
+            .iter()
+            .zip(&poses)
+            .zip(&seen)
+            .map(|((depth_m, world_from_camera), (_, bias))| Seen {
+                depth_m,
+                world_from_camera,
+                bias,
+            })
+            .collect();
+        let evidence = multipath.evidence(&views, white, |point| fusion.signed_distance(point));
+        evidence.expect("views overlap").slope
+    };
+    let truth = strength(Some(WHITE));
+    let (without, right, twice) = (
+        slope(None),
+        slope(Some(WHITE)),
+        slope(Some(WhiteLevel(0.15))),
+    );
+    assert!(without > 0.3 * truth, "{without} of {truth}");
+    assert!(right.abs() < 0.1 * truth, "{right} of {truth}");
+    assert!(twice < -0.3 * truth, "{twice} of {truth}");
+}
+
+#[test]
+fn only_time_of_flight_with_its_own_light_has_multipath() {
+    let scene = Scene::new();
+    let other = CameraInfo {
+        sensor: Sensor::Kinect1,
+        ..scene.info.clone()
+    };
+    assert!(Multipath::new(&other, &scene.calibration).is_none());
+    let dark = CameraInfo {
+        light: None,
+        ..scene.info.clone()
+    };
+    assert!(Multipath::new(&dark, &scene.calibration).is_none());
+}
