@@ -113,7 +113,6 @@ impl Config {
     /// Names the key, its value and the bound.
     pub fn validate(&self) -> Result<(), String> {
         self.capture.validate()?;
-        self.multipath.validate()?;
         self.fusion.validate()?;
         self.snapshot.validate()?;
         self.refine.validate()

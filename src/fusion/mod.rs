@@ -32,6 +32,7 @@ mod raycast;
 
 mod relocalise;
 
+mod depth_field;
 mod fragment_alignment;
 mod fragments;
 mod keyframes;
@@ -48,6 +49,7 @@ mod marching_cubes;
 #[cfg(test)]
 mod tests;
 
+pub use depth_field::DepthField;
 pub use icp::IcpParams;
 pub use keyframes::Keyframe;
 #[cfg(test)]
@@ -60,7 +62,7 @@ pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
 pub use steps::{FusionStep, OnStep};
 
-use crate::geometry::{CameraModel, Pose, TriMesh, motion_between};
+use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, motion_between};
 use band::Band;
 use depth_camera::Image;
 use eye::Eye;
@@ -211,6 +213,11 @@ impl Fusion {
     pub fn signed_distance(&self, point_world: &Point3<f64>) -> Option<(f64, Vector3<f64>)> {
         let sample = self.volume.sample_with_gradient(&point_world.coords.cast());
         sample.map(|(distance, gradient)| (f64::from(distance), gradient.cast()))
+    }
+
+    /// The slow error of a Kinect I's depth that the fused frames show against the model; `None` if they show none.
+    pub fn depth_field(&self, rays: &RayGrid) -> Option<DepthField> {
+        DepthField::measure(self.keyframes(), &self.volume, rays)
     }
 
     /// Says that frames are missing between the last one and the next, which may show another place.

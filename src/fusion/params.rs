@@ -37,6 +37,10 @@ pub struct FusionParams {
     pub max_rotation_rad_per_s: f64,
     /// A faster move is not believed, metres per second.
     pub max_speed_m_per_s: f64,
+    /// Whether the slow error of a Kinect I is measured by the scan itself and taken off.
+    pub depth_field: bool,
+    /// How often a scan may be fused again at its end with what it has told of its depth.
+    pub max_revisions: usize,
     /// Closing loops at the end of the scan.
     pub loop_closing: LoopClosingParams,
 }
@@ -57,6 +61,8 @@ impl Default for FusionParams {
             min_conditioning: 1e-4,
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
+            depth_field: true,
+            max_revisions: 2,
             loop_closing: LoopClosingParams::default(),
         }
     }
@@ -121,6 +127,7 @@ impl FusionParams {
         let [coarse, fine] = icp.sdf_iterations.map(|n| n as f64);
         within("icp.sdf_iterations", coarse, 0.0, 100.0)?;
         within("icp.sdf_iterations", fine, 1.0, 100.0)?;
+        within("max_revisions", self.max_revisions as f64, 0.0, 10.0)?;
         self.loop_closing.validate(within)
     }
 

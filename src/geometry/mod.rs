@@ -6,6 +6,7 @@
 
 mod bvh;
 pub(crate) mod camera;
+mod cells;
 mod mesh;
 mod patch;
 mod pose;
@@ -14,6 +15,7 @@ mod triangle;
 
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
+pub use cells::CellGrid;
 pub use mesh::{EdgeAdjacency, TriMesh};
 pub use patch::{DepthPatch, PixelSquare};
 pub use pose::{Motion, Pose, between, increment, mean_pose, motion_between};

@@ -7,7 +7,7 @@
 //! zero is exact.
 
 use super::{RangeBias, WhiteLevel};
-use crate::geometry::{PixelSquare, Pose, RayGrid};
+use crate::geometry::{Pose, RayGrid};
 use crate::shading::{Tukey, median_absolute_deviation};
 use depth_camera::Image;
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
@@ -96,12 +96,7 @@ fn samples(
     let eye = view.world_from_camera.translation.vector;
     let sample = |cell: usize| {
         let bounce = bias.measured(cell)?;
-        let square = PixelSquare {
-            u: cell % bias.columns() * bias.cell_px(),
-            v: cell / bias.columns() * bias.cell_px(),
-            side: bias.cell_px(),
-            step: STEP_PX,
-        };
+        let square = bias.cells().square(cell, STEP_PX);
         let (mut point, mut normal, mut below) = (Vector3::zeros(), Vector3::zeros(), 0.0);
         let (mut n, mut n_pixels) = (0, 0);
         for (u, v) in square.pixels() {
@@ -133,7 +128,7 @@ fn samples(
             depth_m: below / f64::from(n),
         })
     };
-    (0..bias.n_cells()).filter_map(sample).collect()
+    (0..bias.cells().n_cells()).filter_map(sample).collect()
 }
 
 /// Mean bias at every place that enough views see, weighted as fusion weighs them.

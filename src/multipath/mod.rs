@@ -94,7 +94,7 @@ impl Multipath {
         let sources: Vec<Lit> = patches.iter().flatten().chain(&beyond).copied().collect();
         let bounces = bounce::bounces(&patches, &sources);
         Some(Prediction {
-            bias: RangeBias::new(self.grid.columns(), self.grid.cell_px(), &bounces),
+            bias: RangeBias::new(self.grid.cells(), &bounces),
             plausible_white,
         })
     }

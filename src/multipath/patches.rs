@@ -1,6 +1,6 @@
 //! What a frame shows, as patches that are lit and light one another.
 
-use crate::geometry::{DepthPatch, PixelSquare, RayGrid};
+use crate::geometry::{CellGrid, DepthPatch, RayGrid};
 use crate::shading::{Calibration, NearLight};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
@@ -39,8 +39,7 @@ pub struct PatchGrid {
     inv_gamma: f64,
     /// One over the flat field in the middle of each patch.
     inv_flat: Vec<f64>,
-    cell_px: usize,
-    columns: usize,
+    cells: CellGrid,
 }
 
 impl PatchGrid {
@@ -52,11 +51,10 @@ impl PatchGrid {
         calibration: &Calibration,
     ) -> Self {
         let i = *rays.camera().intrinsics();
-        let cell_px = (i.width / COLUMNS).max(STEP_PX);
-        let (columns, rows) = (i.width / cell_px, i.height / cell_px);
-        let inv_flat = (0..columns * rows)
+        let cells = CellGrid::new(i.width, i.height, COLUMNS);
+        let inv_flat = (0..cells.n_cells())
             .map(|cell| {
-                let [u, v] = [cell % columns, cell / columns].map(|k| k * cell_px + cell_px / 2);
+                let (u, v) = cells.middle(cell);
                 let [x, y] = rays.rays().at(u, v).map(f64::from);
                 1.0 / calibration.flat_field.factor(x, y)
             })
@@ -67,8 +65,7 @@ impl PatchGrid {
             inv_full_scale: 1.0 / full_scale,
             inv_gamma: 1.0 / calibration.gamma,
             inv_flat,
-            cell_px,
-            columns,
+            cells,
         }
     }
 
@@ -77,28 +74,17 @@ impl PatchGrid {
         &self.rays
     }
 
-    /// Patches in a row.
-    pub fn columns(&self) -> usize {
-        self.columns
-    }
-
-    /// Side of a patch, pixels.
-    pub fn cell_px(&self) -> usize {
-        self.cell_px
+    /// The cells whose patches they are.
+    pub fn cells(&self) -> CellGrid {
+        self.cells
     }
 
     /// The patches of a frame, row by row; `None` where depth is missing or holds an edge.
     pub fn patches(&self, depth_m: &Image<f32>, ir: &Image<u16>) -> Vec<Option<Lit>> {
-        let cells = 0..self.inv_flat.len();
-        cells
+        (0..self.cells.n_cells())
             .into_par_iter()
             .map(|cell| {
-                let square = PixelSquare {
-                    u: cell % self.columns * self.cell_px,
-                    v: cell / self.columns * self.cell_px,
-                    side: self.cell_px,
-                    step: STEP_PX,
-                };
+                let square = self.cells.square(cell, STEP_PX);
                 let patch = DepthPatch::fit(depth_m, &self.rays, square)?;
                 let (mut sum, mut n) = (0.0, 0);
                 for (u, v) in square.pixels() {

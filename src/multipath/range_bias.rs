@@ -2,17 +2,15 @@
 
 use super::bounce::Bounce;
 use super::{WhiteLevel, strength};
-use crate::geometry::RayGrid;
+use crate::geometry::{CellGrid, RayGrid};
 use depth_camera::Image;
-use rayon::prelude::*;
 
 /// The bias of a frame's ranges on a grid of patches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RangeBias {
-    columns: usize,
-    cell_px: usize,
+    cells: CellGrid,
     /// Row by row; patches without a measurement have that of their neighbours.
-    cells: Vec<Bounce>,
+    bounces: Vec<Bounce>,
     /// Which cells were measured.
     is_measured: Vec<bool>,
 }
@@ -36,33 +34,22 @@ impl Bounce {
 
 impl RangeBias {
     /// Takes what the patches of an image receive, row by row.
-    pub(super) fn new(columns: usize, cell_px: usize, bounces: &[Option<Bounce>]) -> Self {
+    pub(super) fn new(cells: CellGrid, bounces: &[Option<Bounce>]) -> Self {
         RangeBias {
-            columns,
-            cell_px,
-            cells: filled(columns, bounces),
+            cells,
+            bounces: filled(cells.columns(), bounces),
             is_measured: bounces.iter().map(Option::is_some).collect(),
         }
     }
 
-    /// Patches in a row.
-    pub(super) fn columns(&self) -> usize {
-        self.columns
-    }
-
-    /// Side of a patch, pixels.
-    pub(super) fn cell_px(&self) -> usize {
-        self.cell_px
+    /// The cells whose patches they are.
+    pub(super) fn cells(&self) -> &CellGrid {
+        &self.cells
     }
 
     /// What the patch at an index receives; `None` where nothing was measured.
     pub(super) fn measured(&self, cell: usize) -> Option<&Bounce> {
-        self.is_measured[cell].then(|| &self.cells[cell])
-    }
-
-    /// How many patches there are.
-    pub(super) fn n_cells(&self) -> usize {
-        self.cells.len()
+        self.is_measured[cell].then(|| &self.bounces[cell])
     }
 
     /// A depth image whose bias is changed from that of one white level to that of another, bilinear between the patches.
@@ -74,47 +61,22 @@ impl RangeBias {
         to: Option<WhiteLevel>,
     ) -> Image<f32> {
         let change: Vec<f32> = self
-            .cells
+            .bounces
             .iter()
-            .map(|cell| cell.bias_m(to) - cell.bias_m(from))
+            .map(|bounce| bounce.bias_m(to) - bounce.bias_m(from))
             .collect();
-        let width = depth_m.width();
-        let mut out = vec![0.0f32; depth_m.data().len()];
-        out.par_chunks_mut(width).enumerate().for_each(|(v, out)| {
-            let (above, below, down) = self.between(v, self.cells.len() / self.columns);
-            let [above, below] =
-                [above, below].map(|row| &change[row * self.columns..][..self.columns]);
-            let row: Vec<f32> = above
-                .iter()
-                .zip(below)
-                .map(|(a, b)| a + (b - a) * down)
-                .collect();
-            for (u, ((out, &z), [x, y])) in out
-                .iter_mut()
-                .zip(depth_m.row(v))
-                .zip(rays.rays().row(v))
-                .enumerate()
-            {
-                let (left, right, along) = self.between(u, self.columns);
-                let range_m = row[left] + (row[right] - row[left]) * along;
-                // Depth is range times the cosine of the ray.
-                let shorter = z - range_m / (1.0 + x * x + y * y).sqrt();
-                *out = if z > 0.0 && shorter > 0.0 {
-                    shorter
-                } else {
-                    0.0
-                };
-            }
+        let change = self.cells.spread(&change);
+        let pixels = depth_m
+            .data()
+            .iter()
+            .zip(change.data())
+            .zip(rays.rays().data());
+        // Depth is range times the cosine of the ray.
+        let shorter = pixels.map(|((&z, range_m), [x, y])| match z > 0.0 {
+            true => (z - range_m / (1.0 + x * x + y * y).sqrt()).max(0.0),
+            false => 0.0,
         });
-        Image::from_vec(width, depth_m.height(), out)
-    }
-
-    /// The patches before and after a pixel along one side of the image, and how far it lies between their middles.
-    fn between(&self, pixel: usize, n: usize) -> (usize, usize, f32) {
-        let place = (pixel as f32 + 0.5) / self.cell_px as f32 - 0.5;
-        let place = place.clamp(0.0, (n - 1) as f32);
-        let first = place as usize;
-        (first, (first + 1).min(n - 1), place - first as f32)
+        Image::from_vec(depth_m.width(), depth_m.height(), shorter.collect())
     }
 }
 

@@ -28,7 +28,7 @@ pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
     let squares = offsets
         .clone()
         .flat_map(|a| offsets.clone().map(move |b| along * a + across * b));
-    let margin_px = grid.cell_px() as f64;
+    let margin_px = grid.cells().cell_px() as f64;
     let camera = grid.rays().camera();
     let is_hidden = |point: &Point3<f64>| {
         camera

@@ -1,25 +1,28 @@
-//! Multipath taken off the depth of a scan, as well as its strength is known while the scan goes on, and again at its end.
+//! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, when the scan
+//! itself has told more, once more at its end.
 
 use crate::{
-    fusion::{DepthNoise, Fusion, FusionParams, PoseCorrection, TrackingOutcome},
-    geometry::{CameraModel, Pose},
-    multipath::{Evidence, Multipath, MultipathParams, RangeBias, Seen, WhiteLevel, WhiteSearch},
+    fusion::{
+        DepthField, DepthNoise, Fusion, FusionParams, Keyframe, PoseCorrection, TrackingOutcome,
+    },
+    geometry::{CameraModel, Pose, RayGrid},
+    multipath::{Evidence, Multipath, RangeBias, Seen, WhiteLevel, WhiteSearch},
     shading::Calibration,
 };
-use depth_camera::{CameraInfo, Frame, Image};
+use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Takes multipath off the frames of one scan.
+/// Corrects the depth of one scan.
 pub struct DepthCorrection {
-    multipath: Multipath,
-    /// The white level that frames are corrected for; `None` before the first frame or where views agree without.
-    white: Option<WhiteLevel>,
-    /// The white level that frames were corrected for while the scan went on.
+    info: CameraInfo,
+    rays: RayGrid,
+    fusion: FusionParams,
+    /// `None` for a sensor that suffers from none, or where it is not wanted.
+    multipath: Option<Multipath>,
+    /// The white level that frames are corrected for while the scan goes on; `None` before the first.
     live: Option<WhiteLevel>,
     /// Whether the device's calibration tells it.
     is_measured: bool,
-    /// How often a scan may be fused again.
-    max_revisions: usize,
     /// Predicted multipath of the frames, by time in nanoseconds of the device's clock.
     biases: BTreeMap<i64, RangeBias>,
 }
@@ -30,6 +33,8 @@ pub struct Revised {
     pub fusion: Fusion,
     /// How far every pose is moved, by time.
     pub correction: PoseCorrection,
+    white: Option<WhiteLevel>,
+    field: Option<DepthField>,
 }
 
 /// Most frames whose views are compared at the end of a scan.
@@ -38,43 +43,41 @@ const MAX_VIEWS: usize = 60;
 const MAX_LOST_SHARE: f64 = 0.05;
 /// Where frames are missing for longer, seconds, another place may follow.
 const MAX_GAP_SECS: f64 = 0.2;
+/// A field that changes by less, metres at a metre, is not worth fusing again.
+const MIN_FIELD_M: f64 = 1e-4;
 /// Predictions are thinned out to those of the frames that fusion still holds when they are so many times as many.
 const MAX_BIASES_A_FRAME: usize = 2;
 /// ... but not below this number.
 const MIN_BIASES: usize = 256;
 
 impl DepthCorrection {
-    /// A correction for a camera whose depth suffers from multipath; `None` for any other, or where it is not wanted.
+    /// A correction for a camera with its calibration, for a scan that is fused with `fusion`.
     pub fn new(
         info: &CameraInfo,
         calibration: &Calibration,
-        params: &MultipathParams,
-    ) -> Option<Self> {
-        if !params.enabled {
-            return None;
-        }
+        has_multipath: bool,
+        fusion: &FusionParams,
+    ) -> Self {
+        let multipath = has_multipath.then(|| Multipath::new(info, calibration));
         let measured = calibration.light.white_level;
-        Some(DepthCorrection {
-            multipath: Multipath::new(info, calibration)?,
-            white: measured.map(WhiteLevel),
+        DepthCorrection {
+            info: info.clone(),
+            rays: RayGrid::new(CameraModel::new(info.intrinsics)),
+            fusion: fusion.clone(),
+            multipath: multipath.flatten(),
             live: measured.map(WhiteLevel),
             is_measured: measured.is_some(),
-            max_revisions: params.max_revisions,
             biases: BTreeMap::new(),
-        })
+        }
     }
 
     /// A frame without its multipath; `None` if nothing can be predicted for it.
     pub fn correct(&mut self, frame: &Frame) -> Option<Frame> {
-        let prediction = self.multipath.predict(frame)?;
-        let is_first = self.biases.is_empty() && !self.is_measured;
-        if is_first {
-            self.live = Some(prediction.plausible_white);
-            self.white = self.live;
-        }
+        let multipath = self.multipath.as_ref()?;
+        let prediction = multipath.predict(frame)?;
+        self.live.get_or_insert(prediction.plausible_white);
         let bias = prediction.bias;
-        let depth = frame.depth.as_ref()?;
-        let depth = self.multipath.corrected(depth, &bias, None, self.live);
+        let depth = multipath.corrected(frame.depth.as_ref()?, &bias, None, self.live);
         self.biases.insert(nanos(frame.device_time_secs), bias);
         Some(Frame {
             frame_id: frame.frame_id,
@@ -89,53 +92,64 @@ impl DepthCorrection {
     pub fn thin_out(&mut self, fusion: &Fusion) {
         let frames = fusion.keyframes();
         if self.biases.len() > MIN_BIASES.max(MAX_BIASES_A_FRAME * frames.len()) {
-            let held = frames.iter().map(|frame| nanos(frame.time_secs));
-            let held: BTreeSet<i64> = held.collect();
+            let held: BTreeSet<i64> = frames.iter().map(|frame| nanos(frame.time_secs)).collect();
             self.biases.retain(|time, _| held.contains(time));
         }
     }
 
-    /// Compares the views of a fused scan, and fuses it again where that tells another white level than it was fused with.
-    /// `None` if it stays as it is.
-    pub fn revise(
-        &mut self,
-        fusion: &Fusion,
-        info: &CameraInfo,
-        params: &FusionParams,
-    ) -> Option<Revised> {
-        let mut search = WhiteSearch::from(self.live?);
+    /// Compares the views of a fused scan with its model, and fuses it again as long as that tells of errors that were not
+    /// taken off. `None` if it stays as it is.
+    pub fn revise(&self, fusion: &Fusion) -> Option<Revised> {
+        let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
-        for revision in 0..=self.max_revisions {
+        for _ in 0..self.fusion.max_revisions {
+            let white = revised.as_ref().map_or(self.live, |revised| revised.white);
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
-            let evidence = self.evidence(current)?;
-            tracing::info!(
-                white_level = self.white.map(|white| white.0),
-                strength_change = evidence.slope,
-                sigma = evidence.sigma,
-                disagreement_mm = 1e3 * evidence.residual_m,
-                patches = evidence.n_patches,
-                "multipath: how well the views of one place agree"
-            );
-            if self.is_measured || revision == self.max_revisions {
+            let field = self.field(current);
+            let next_white = self
+                .evidence(current, white, field.as_ref())
+                .zip(search.as_mut())
+                .and_then(|(evidence, search)| search.next(white, evidence));
+            if field.is_none() && next_white.is_none() {
                 break;
             }
-            let Some(next) = search.next(self.white, evidence) else {
-                break;
+            let change = Change {
+                from: white,
+                to: next_white.unwrap_or(white),
+                field,
             };
-            let again = self.fuse_again(current, next, info, params, revised.as_ref())?;
-            self.white = next;
-            revised = Some(again);
+            match self.fuse_again(current, change, revised.as_ref()) {
+                Some(again) => revised = Some(again),
+                None => break,
+            }
         }
         revised
     }
 
-    /// The depth (m) of a frame of the scan, corrected for what was known at its end.
-    pub fn revised_depth(&self, depth_m: &Image<f32>, time_secs: f64) -> Image<f32> {
-        match self.bias_near(time_secs) {
-            Some(bias) => self
-                .multipath
-                .corrected(depth_m, bias, self.live, self.white),
-            None => depth_m.clone(),
+    /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows.
+    pub fn revised_depth(
+        &self,
+        depth_m: &Image<f32>,
+        time_secs: f64,
+        revised: &Revised,
+    ) -> Image<f32> {
+        let change = Change {
+            from: self.live,
+            to: revised.white,
+            field: revised.field.clone(),
+        };
+        self.changed(depth_m, time_secs, &change)
+    }
+
+    fn changed(&self, depth_m: &Image<f32>, time_secs: f64, change: &Change) -> Image<f32> {
+        let bias = self.multipath.as_ref().zip(self.bias_near(time_secs));
+        let depth = bias.map_or_else(
+            || depth_m.clone(),
+            |(multipath, bias)| multipath.corrected(depth_m, bias, change.from, change.to),
+        );
+        match &change.field {
+            Some(field) => field.corrected(&depth),
+            None => depth,
         }
     }
 
@@ -144,66 +158,79 @@ impl DepthCorrection {
         let time = nanos(time_secs);
         let before = self.biases.range(..=time).next_back();
         let after = self.biases.range(time..).next();
-        let nearest = before
-            .into_iter()
-            .chain(after)
-            .min_by_key(|(t, _)| (*t - time).abs());
+        let both = before.into_iter().chain(after);
+        let nearest = both.min_by_key(|(other, _)| (**other - time).abs());
         nearest.map(|(_, bias)| bias)
     }
 
-    fn evidence(&self, fusion: &Fusion) -> Option<Evidence> {
+    /// The sensor's slow error that the frames of a scan still show.
+    fn field(&self, fusion: &Fusion) -> Option<DepthField> {
+        let is_wanted = self.fusion.depth_field && self.info.sensor == Sensor::Kinect1;
+        let field = is_wanted.then(|| fusion.depth_field(&self.rays));
+        field.flatten().filter(|field| field.rms() > MIN_FIELD_M)
+    }
+
+    /// What the views of a scan tell of its white level once a field is taken off.
+    fn evidence(
+        &self,
+        fusion: &Fusion,
+        white: Option<WhiteLevel>,
+        field: Option<&DepthField>,
+    ) -> Option<Evidence> {
+        let multipath = self.multipath.as_ref().filter(|_| !self.is_measured)?;
         let frames = fusion.keyframes();
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
+        let view = |frame: &Keyframe| {
+            let depth = frame.depth_m();
+            let depth = field.map_or_else(|| depth.clone(), |field| field.corrected(&depth));
+            (depth, frame.world_from_camera)
+        };
+        let frames = frames.iter().step_by(every);
         let views: Vec<_> = frames
-            .iter()
-            .step_by(every)
-            .filter_map(|frame| {
-                Some((
-                    frame.depth_m(),
-                    frame.world_from_camera,
-                    self.bias_near(frame.time_secs)?,
-                ))
-            })
+            .filter_map(|frame| Some((view(frame), self.bias_near(frame.time_secs)?)))
             .collect();
         let seen: Vec<Seen> = views
             .iter()
-            .map(|(depth_m, world_from_camera, bias)| Seen {
+            .map(|((depth_m, world_from_camera), bias)| Seen {
                 depth_m,
                 world_from_camera,
                 bias,
             })
             .collect();
-        self.multipath
-            .evidence(&seen, self.white, |point| fusion.signed_distance(point))
+        let evidence = multipath.evidence(&seen, white, |point| fusion.signed_distance(point))?;
+        tracing::info!(
+            white_level = white.map(|white| white.0),
+            strength_change = evidence.slope,
+            sigma = evidence.sigma,
+            disagreement_mm = 1e3 * evidence.residual_m,
+            patches = evidence.n_patches,
+            "multipath: how well the views of one place agree"
+        );
+        Some(evidence)
     }
 
-    /// Fuses all frames again with the multipath of another white level; `None` if too many are lost that way.
+    /// Fuses all frames again, corrected otherwise; `None` if too many are lost that way.
     fn fuse_again(
         &self,
         before: &Fusion,
-        white: Option<WhiteLevel>,
-        info: &CameraInfo,
-        params: &FusionParams,
+        change: Change,
         revised: Option<&Revised>,
     ) -> Option<Revised> {
-        let camera = CameraModel::new(info.intrinsics);
-        let noise = DepthNoise::of_sensor(info.sensor);
-        let mut fusion = Fusion::new(camera, noise, params.clone());
-        let (mut knots, mut last) = (Vec::new(), None);
+        let camera = CameraModel::new(self.info.intrinsics);
+        let noise = DepthNoise::of_sensor(self.info.sensor);
+        let mut fusion = Fusion::new(camera, noise, self.fusion.clone());
+        let mut knots = Vec::new();
+        let mut last: Option<&Keyframe> = None;
         let frames = before.keyframes();
         for frame in frames {
-            let is_apart = last.is_some_and(|(time_secs, stretch)| {
-                frame.time_secs - time_secs > MAX_GAP_SECS || frame.stretch != stretch
+            let is_apart = last.is_some_and(|last| {
+                frame.time_secs - last.time_secs > MAX_GAP_SECS || frame.stretch != last.stretch
             });
             if is_apart {
                 fusion.interrupt();
             }
-            last = Some((frame.time_secs, frame.stretch));
-            let depth = frame.depth_m();
-            let depth = match self.bias_near(frame.time_secs) {
-                Some(bias) => self.multipath.corrected(&depth, bias, self.white, white),
-                None => depth,
-            };
+            last = Some(frame);
+            let depth = self.changed(&frame.depth_m(), frame.time_secs, &change);
             let outcome = fusion.fuse(&depth, frame.time_secs);
             if let TrackingOutcome::Tracked {
                 world_from_camera, ..
@@ -220,15 +247,35 @@ impl DepthCorrection {
         if n_lost as f64 > MAX_LOST_SHARE * frames.len() as f64 {
             tracing::warn!(
                 n_lost,
-                "multipath: fused again, the scan loses its track, and stays as it was"
+                "fused again with its depth corrected, the scan loses its track, and stays as it was"
             );
             return None;
         }
+        let field_before = revised.and_then(|revised| revised.field.clone());
+        let field = match (field_before, change.field) {
+            (Some(before), Some(further)) => Some(before.plus(&further)),
+            (before, further) => before.or(further),
+        };
+        tracing::info!(
+            white_level = change.to.map(|white| white.0),
+            field_rms_mm = field.as_ref().map(|field| 1e3 * field.rms()),
+            "fused again with its depth corrected"
+        );
         Some(Revised {
             fusion,
             correction: PoseCorrection::of_knots(knots),
+            white: change.to,
+            field,
         })
     }
+}
+
+/// From what depth was corrected for to what it is to be corrected for.
+struct Change {
+    from: Option<WhiteLevel>,
+    to: Option<WhiteLevel>,
+    /// What is to be taken off beside.
+    field: Option<DepthField>,
 }
 
 fn nanos(time_secs: f64) -> i64 {

@@ -28,8 +28,8 @@ pub struct FusionSetup {
     pub fusion: FusionParams,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
-    /// What takes multipath off the depth; `None` for a camera that has none.
-    pub correction: Option<DepthCorrection>,
+    /// What is taken off the depth.
+    pub correction: DepthCorrection,
     /// Poses to fuse at instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Where tracking computes.
@@ -95,10 +95,8 @@ pub fn run(
 
 /// What the fusion thread has in hand.
 struct FusionStage {
-    info: CameraInfo,
-    params: FusionParams,
     fusion: Fusion,
-    correction: Option<DepthCorrection>,
+    correction: DepthCorrection,
     selector: Option<SnapshotSelector>,
     poses: Option<GivenPoses>,
     pool: ThreadPool,
@@ -110,6 +108,7 @@ struct FusionStage {
     last_depth: Option<Image<f32>>,
     had_depth: bool,
     correction_clock: StageClock,
+    revision_clock: StageClock,
     fusion_clock: StageClock,
     selection_clock: StageClock,
 }
@@ -121,11 +120,9 @@ impl FusionStage {
         FusionStage {
             fusion: setup
                 .pool
-                .install(|| Fusion::new(camera, noise, setup.fusion.clone())),
+                .install(|| Fusion::new(camera, noise, setup.fusion)),
             selector: SnapshotSelector::new(&setup.info, setup.snapshot),
             correction: setup.correction,
-            info: setup.info,
-            params: setup.fusion,
             poses: setup.poses,
             pool: setup.pool,
             status: setup.status,
@@ -135,6 +132,7 @@ impl FusionStage {
             last_depth: None,
             had_depth: true,
             correction_clock: StageClock::new("multipath"),
+            revision_clock: StageClock::new("fusing again with corrected depth"),
             fusion_clock: StageClock::new("tracking and fusion"),
             selection_clock: StageClock::new("selection of shading images"),
         }
@@ -156,11 +154,8 @@ impl FusionStage {
 
     /// The frame without multipath, as far as that is known now.
     fn corrected(&mut self, frame: &Arc<Frame>) -> Arc<Frame> {
-        let Some(correction) = &mut self.correction else {
-            return frame.clone();
-        };
+        let (correction, pool) = (&mut self.correction, &self.pool);
         correction.thin_out(&self.fusion);
-        let pool = &self.pool;
         let corrected = self
             .correction_clock
             .time(|| pool.install(|| correction.correct(frame)));
@@ -332,6 +327,7 @@ impl FusionStage {
             self.correction_clock,
             self.fusion_clock,
             self.selection_clock,
+            self.revision_clock,
             closing_clock,
             meshing_clock,
         ]
@@ -353,23 +349,20 @@ impl FusionStage {
         }
     }
 
-    /// Fuses the scan again if its views agree better with another strength of multipath.
+    /// Fuses the scan again if it tells of errors of its depth that were not taken off.
     fn revise(&mut self, mut snapshots: Option<&mut SnapshotSelection>) {
-        let Some(correction) = &mut self.correction else {
-            return;
-        };
-        let (fusion, info, params, pool) = (&self.fusion, &self.info, &self.params, &self.pool);
+        let (correction, fusion, pool) = (&self.correction, &self.fusion, &self.pool);
         let revised = self
-            .correction_clock
-            .time(|| pool.install(|| correction.revise(fusion, info, params)));
+            .revision_clock
+            .time(|| pool.install(|| correction.revise(fusion)));
         let Some(revised) = revised else {
             return;
         };
-        self.fusion = revised.fusion;
         for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
-            snapshot.depth_m =
-                correction.revised_depth(&snapshot.depth_m, snapshot.device_time_secs);
+            let time_secs = snapshot.device_time_secs;
+            snapshot.depth_m = correction.revised_depth(&snapshot.depth_m, time_secs, &revised);
         }
+        self.fusion = revised.fusion;
         self.correct(&revised.correction, snapshots);
     }
 

@@ -238,7 +238,12 @@ fn fusion_setup(
         info: info.clone(),
         fusion: params.fusion.clone(),
         snapshot: params.snapshot.clone(),
-        correction: DepthCorrection::new(info, &params.calibration, &params.multipath),
+        correction: DepthCorrection::new(
+            info,
+            &params.calibration,
+            params.multipath.enabled,
+            &params.fusion,
+        ),
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),
