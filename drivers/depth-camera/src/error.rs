@@ -23,6 +23,9 @@ pub enum CameraError {
         /// What is wrong with it, naming the file where there is one.
         reason: String,
     },
+    /// The device is there and does not do what it must: what it was asked for, and for how long, are in the text. The
+    /// stream is over; plugging the device in anew is what usually helps.
+    Unresponsive(String),
     /// A recording or a device description that makes no sense: file, key, value and bound are in the text.
     Invalid(String),
 }
@@ -52,6 +55,7 @@ impl fmt::Display for CameraError {
             CameraError::DamagedFrame { frame_id, reason } => {
                 write!(f, "frame {frame_id} is damaged: {reason}")
             }
+            CameraError::Unresponsive(what) => write!(f, "the device does not respond: {what}"),
             CameraError::Invalid(what) => f.write_str(what),
         }
     }

@@ -1,22 +1,20 @@
 //! A plain row-major image.
 
+use std::{fmt, mem, sync::mpsc::SyncSender};
+
 /// A row-major image; pixel (u, v) is column u, row v, both from 0 at the top left.
-#[derive(Clone, Debug, PartialEq)]
 pub struct Image<T> {
     width: usize,
     height: usize,
     data: Vec<T>,
+    /// Where the buffer goes when the image is dropped, if it is one of an [`crate::ImagePool`].
+    home: Option<SyncSender<Vec<T>>>,
 }
 
 impl<T: Clone> Image<T> {
     /// An image of one value.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
-        let data = vec![value; width * height];
-        Image {
-            width,
-            height,
-            data,
-        }
+        Self::from_vec(width, height, vec![value; width * height])
     }
 }
 
@@ -35,7 +33,14 @@ impl<T> Image<T> {
             width,
             height,
             data,
+            home: None,
         }
+    }
+
+    /// The same image, whose buffer goes `home` when it is dropped.
+    pub(crate) fn with_home(mut self, home: SyncSender<Vec<T>>) -> Self {
+        self.home = Some(home);
+        self
     }
 
     /// Columns.
@@ -59,8 +64,20 @@ impl<T> Image<T> {
     }
 
     /// The pixels, row by row, without the image.
-    pub fn into_vec(self) -> Vec<T> {
-        self.data
+    pub fn into_vec(mut self) -> Vec<T> {
+        self.home = None;
+        mem::take(&mut self.data)
+    }
+
+    /// The image without what lies below its first `height` rows; nothing is copied.
+    ///
+    /// # Panics
+    /// If the image has fewer rows.
+    pub fn top_rows(mut self, height: usize) -> Self {
+        assert!(height <= self.height, "the image has fewer rows");
+        self.height = height;
+        self.data.truncate(self.width * height);
+        self
     }
 
     /// One row.
@@ -79,10 +96,37 @@ impl<T> Image<T> {
 
     /// Applies `f` to every pixel.
     pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Image<U> {
-        Image {
-            width: self.width,
-            height: self.height,
-            data: self.data.iter().map(f).collect(),
+        Image::from_vec(self.width, self.height, self.data.iter().map(f).collect())
+    }
+}
+
+impl<T> Drop for Image<T> {
+    fn drop(&mut self) {
+        if let Some(home) = self.home.take() {
+            // A pool that is full or gone frees the buffer.
+            let _ = home.try_send(mem::take(&mut self.data));
         }
+    }
+}
+
+impl<T: Clone> Clone for Image<T> {
+    fn clone(&self) -> Self {
+        Self::from_vec(self.width, self.height, self.data.clone())
+    }
+}
+
+impl<T: PartialEq> PartialEq for Image<T> {
+    fn eq(&self, other: &Self) -> bool {
+        (self.width, self.height) == (other.width, other.height) && self.data == other.data
+    }
+}
+
+impl<T: fmt::Debug> fmt::Debug for Image<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Image")
+            .field("width", &self.width)
+            .field("height", &self.height)
+            .field("data", &self.data)
+            .finish()
     }
 }

@@ -6,9 +6,11 @@
 
 mod error;
 mod image;
+mod pool;
 
 pub use error::CameraError;
 pub use image::Image;
+pub use pool::ImagePool;
 
 use std::time::{Duration, Instant};
 

@@ -1,0 +1,321 @@
+//! The thread that owns the library: opens the device, streams, obeys commands, watches for silence, and looks for the device
+//! again when it has gone.
+
+use std::{
+    cell::{Cell, RefCell},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, TrySendError};
+use depth_camera::CameraError;
+
+use crate::{
+    assembly::{Assembler, Captured, Silence, Statistics},
+    context::{Context, newest_warning},
+    device::Device,
+    disparity::ZeroPlane,
+    streams::Streams,
+    supervision::{Activity, Heartbeat},
+};
+
+/// How long one look for events waits: packets come every 2 ms, commands must not wait much longer.
+const PUMP_TIMEOUT: Duration = Duration::from_millis(10);
+
+/// A stream that brings nothing for so long will not: the slowest, IR at full size, has 10 frames a second.
+const SILENCE_LIMIT: Duration = Duration::from_secs(2);
+
+/// How often the thread looks for a device that has gone.
+const SEARCH_INTERVAL: Duration = Duration::from_millis(100);
+
+/// What the device thread reports.
+#[derive(Debug)]
+pub(crate) enum Event {
+    Captured(Captured),
+    Failed(CameraError),
+}
+
+/// What the device thread is told.
+#[derive(Debug)]
+pub(crate) enum Command {
+    /// Deliver these streams from now on.
+    Streams(Streams, Sender<Result<(), CameraError>>),
+    /// Set the gain of IR; the answer is what the device then says it is.
+    IrGain(u16, Sender<Result<u16, CameraError>>),
+    /// Close the device and end.
+    Stop,
+}
+
+/// What others may look at meanwhile.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(crate) heartbeat: Heartbeat,
+    pub(crate) depth_runs: AtomicBool,
+    pub(crate) ir_gain: AtomicU64,
+    n_overrun: AtomicU64,
+    statistics: Mutex<Statistics>,
+}
+
+impl Shared {
+    pub(crate) fn new() -> Self {
+        Shared {
+            heartbeat: Heartbeat::new(Activity::Opening),
+            depth_runs: AtomicBool::new(false),
+            ir_gain: AtomicU64::new(0),
+            n_overrun: AtomicU64::new(0),
+            statistics: Mutex::default(),
+        }
+    }
+
+    pub(crate) fn statistics(&self) -> Statistics {
+        let held = self
+            .statistics
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        Statistics {
+            n_overrun: self.n_overrun.load(Ordering::Relaxed),
+            ..*held
+        }
+    }
+}
+
+/// The way out: newest wins, for the thread must never wait.
+#[derive(Debug)]
+pub(crate) struct Outlet {
+    pub(crate) events: Sender<Event>,
+    /// The other end, to make room.
+    pub(crate) oldest: Receiver<Event>,
+}
+
+impl Outlet {
+    fn offer(&self, event: Event, shared: &Shared) {
+        let mut event = event;
+        while let Err(TrySendError::Full(refused)) = self.events.try_send(event) {
+            if matches!(self.oldest.try_recv(), Ok(Event::Captured(_))) {
+                shared.n_overrun.fetch_add(1, Ordering::Relaxed);
+            }
+            event = refused;
+        }
+    }
+}
+
+/// What the device says of itself.
+#[derive(Clone, Debug)]
+pub(crate) struct Identity {
+    pub(crate) serial: String,
+    pub(crate) zero_plane: ZeroPlane,
+}
+
+/// How a time with an open device ended.
+enum End {
+    Stopped,
+    NotOpened(CameraError),
+    Failed(CameraError),
+}
+
+/// The thread's state.
+#[derive(Debug)]
+pub(crate) struct DeviceThread {
+    /// Which device; any, until one has been opened.
+    pub(crate) serial: RefCell<Option<String>>,
+    pub(crate) streams: Cell<Streams>,
+    pub(crate) ir_gain: Cell<u16>,
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) commands: Receiver<Command>,
+    pub(crate) outlet: Outlet,
+    pub(crate) assembler: RefCell<Assembler>,
+}
+
+impl DeviceThread {
+    /// Runs until told to stop, or until the device fails in another way than by being unplugged. `opened` hears of the first
+    /// attempt to open it.
+    pub(crate) fn run(self, opened: &Sender<Result<Identity, CameraError>>) {
+        let tell_opened = |identity| drop(opened.try_send(Ok(identity)));
+        let mut end = self.session(&tell_opened);
+        if let End::NotOpened(error) = end {
+            drop(opened.try_send(Err(error)));
+            return;
+        }
+        while let End::Failed(error) = end {
+            let may_return = error == CameraError::Disconnected;
+            self.outlet.offer(Event::Failed(error), &self.shared);
+            if !may_return {
+                return;
+            }
+            end = self.resume();
+        }
+    }
+
+    /// Looks for the device until it is open again, then streams.
+    fn resume(&self) -> End {
+        loop {
+            self.shared.heartbeat.enter(Activity::Searching);
+            match self.commands.recv_timeout(SEARCH_INTERVAL) {
+                Ok(Command::Streams(streams, answer)) => {
+                    self.streams.set(streams);
+                    drop(answer.try_send(Err(CameraError::Disconnected)));
+                }
+                Ok(Command::IrGain(gain, answer)) => {
+                    self.ir_gain.set(gain);
+                    drop(answer.try_send(Err(CameraError::Disconnected)));
+                }
+                Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return End::Stopped,
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            // It may be there before the system has set its permissions: try again.
+            match self.session(&|_| ()) {
+                End::NotOpened(_) => {}
+                end => return end,
+            }
+        }
+    }
+
+    /// One time with an open device.
+    fn session(&self, opened: &dyn Fn(Identity)) -> End {
+        let emit = |captured| {
+            self.outlet.offer(Event::Captured(captured), &self.shared);
+        };
+        let context = match Context::new() {
+            Ok(context) => context,
+            Err(error) => return End::NotOpened(error),
+        };
+        let device = match self.open(&context, &emit) {
+            Ok((device, identity)) => {
+                opened(identity);
+                device
+            }
+            Err(error) => return End::NotOpened(error),
+        };
+        let end = self.stream(&context, &device);
+        self.shared.depth_runs.store(false, Ordering::Relaxed);
+        drop(device);
+        self.publish();
+        end
+    }
+
+    fn open<'a>(
+        &'a self,
+        context: &'a Context,
+        emit: &'a dyn Fn(Captured),
+    ) -> Result<(Device<'a>, Identity), CameraError> {
+        let heartbeat = &self.shared.heartbeat;
+        let chosen = self.serial.borrow().clone();
+        let serial = match chosen {
+            Some(serial) => serial,
+            None => first_serial(context)?,
+        };
+        let device = Device::open(context, &serial, &self.assembler, heartbeat, emit)?;
+        let zero_plane = device.zero_plane();
+        zero_plane.validate()?;
+        self.set_ir_gain(&device, self.ir_gain.get())?;
+        self.apply(&device, self.streams.get())?;
+        self.serial.replace(Some(serial.clone()));
+        Ok((device, Identity { serial, zero_plane }))
+    }
+
+    fn stream(&self, context: &Context, device: &Device<'_>) -> End {
+        loop {
+            self.shared.heartbeat.enter(Activity::Streaming);
+            if let Err(error) = context.pump(PUMP_TIMEOUT).and_then(|()| self.watch()) {
+                return End::Failed(error);
+            }
+            self.publish();
+            loop {
+                let obeyed = match self.commands.try_recv() {
+                    Err(TryRecvError::Empty) => break,
+                    // The camera was dropped, or never came to be because opening took too long.
+                    Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return End::Stopped,
+                    Ok(Command::Streams(streams, answer)) => {
+                        let obeyed = self.apply(device, streams);
+                        drop(answer.try_send(obeyed.clone()));
+                        obeyed
+                    }
+                    Ok(Command::IrGain(gain, answer)) => {
+                        let obeyed = self.set_ir_gain(device, gain);
+                        drop(answer.try_send(obeyed.clone()));
+                        obeyed.map(drop)
+                    }
+                };
+                if let Err(error) = obeyed {
+                    return End::Failed(error);
+                }
+            }
+        }
+    }
+
+    /// Stops what is not wanted, video before depth, then starts what is.
+    fn apply(&self, device: &Device<'_>, streams: Streams) -> Result<(), CameraError> {
+        self.streams.set(streams);
+        if device.ir_runs() != streams.ir() {
+            device.stop_ir();
+        }
+        if !streams.depth() {
+            device.stop_depth();
+        }
+        self.shared
+            .depth_runs
+            .store(streams.depth(), Ordering::Relaxed);
+        if streams.depth() {
+            device.start_depth()?;
+        }
+        match streams.ir() {
+            Some(size) => device.start_ir(size),
+            None => Ok(()),
+        }
+    }
+
+    fn set_ir_gain(&self, device: &Device<'_>, gain: u16) -> Result<u16, CameraError> {
+        self.ir_gain.set(gain);
+        let read_back = device.set_ir_gain(gain)?;
+        self.shared
+            .ir_gain
+            .store(read_back.into(), Ordering::Relaxed);
+        Ok(read_back)
+    }
+
+    /// Whether a stream that runs has been silent for too long.
+    fn watch(&self) -> Result<(), CameraError> {
+        let now = Instant::now();
+        let assembler = self.assembler.borrow();
+        check_silence("depth", assembler.depth_silence(now))?;
+        check_silence("IR", assembler.ir_silence(now))
+    }
+
+    fn publish(&self) {
+        let statistics = self.assembler.borrow().statistics();
+        let mut held = self
+            .shared
+            .statistics
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        *held = statistics;
+    }
+}
+
+fn first_serial(context: &Context) -> Result<String, CameraError> {
+    let first = context.serials()?.into_iter().next();
+    match first {
+        Some(serial) => Ok(serial),
+        None if context.n_cameras()? > 0 => Err(CameraError::PermissionDenied),
+        None => Err(CameraError::Disconnected),
+    }
+}
+
+fn check_silence(stream: &str, silence: Option<Silence>) -> Result<(), CameraError> {
+    let Some(silence) = silence.filter(|silence| silence.silent_for > SILENCE_LIMIT) else {
+        return Ok(());
+    };
+    let secs = silence.silent_for.as_secs_f64();
+    let since = if silence.is_first {
+        "its start"
+    } else {
+        "the last one"
+    };
+    Err(CameraError::Unresponsive(format!(
+        "no {stream} frame within {secs:.1} s of {since}{}",
+        newest_warning()
+    )))
+}

@@ -1,0 +1,68 @@
+//! Once it runs, a frame's way from the library to its reader allocates nothing.
+
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use depth_camera::DepthCamera;
+use freenect1::{Freenect1Camera, Settings};
+
+use crate::support::{SECOND, on_stand_in};
+
+struct Counting;
+
+static N_ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: everything is the system's.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        N_ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as asked of the caller.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as asked of the caller.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Counts this program's allocations; the library's and the stand-in's are not among them.
+#[test]
+fn the_steady_state_allocates_nothing() {
+    on_stand_in(
+        "allocations::the_steady_state_allocates_nothing",
+        &[""],
+        |_| {
+            let mut camera = Freenect1Camera::open(None, Settings::default()).unwrap();
+            let mut held = std::collections::VecDeque::with_capacity(8);
+            let mut count = |camera: &mut Freenect1Camera, n_frames| {
+                let before = N_ALLOCATIONS.load(Ordering::Relaxed);
+                for _ in 0..n_frames {
+                    // As a pipeline does: a few frames are in use at any time.
+                    if held.len() == 4 {
+                        held.pop_front();
+                    }
+                    held.push_back(camera.grab(5 * SECOND).unwrap());
+                }
+                N_ALLOCATIONS.load(Ordering::Relaxed) - before
+            };
+            let warming_up = count(&mut camera, 30);
+            let steady = count(&mut camera, 60);
+            let statistics = camera.control().statistics();
+            eprintln!(
+                "allocations: {warming_up} in 30 frames, then {steady} in 60: {statistics:?}"
+            );
+            assert!(warming_up > 0, "the counter counts");
+            // A reader that was kept from running lets more frames wait than ever before, each in a buffer of its own.
+            assert!(
+                steady == 0 || steady <= 2 * statistics.n_overrun,
+                "{steady} allocations"
+            );
+        },
+    );
+}

@@ -1,0 +1,183 @@
+//! One isochronous stream: which packet comes when, and which is lost.
+
+use std::time::Duration;
+
+use crate::wire::{HEADER_BYTES, Position, header, pack};
+
+/// Ticks of the device clock in a frame.
+const TICKS_PER_FRAME: u64 = 2_000_000;
+
+/// How a stream's frames are cut.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Format {
+    pub(crate) flag: u8,
+    pub(crate) bits: u32,
+    pub(crate) n_values: usize,
+    pub(crate) packet_bytes: usize,
+    /// Frames of this stream come so much more rarely.
+    pub(crate) slower: u64,
+}
+
+impl Format {
+    pub(crate) const DEPTH: Format = Format {
+        flag: 0x70,
+        bits: 11,
+        n_values: 640 * 480,
+        packet_bytes: 1748,
+        slower: 1,
+    };
+    pub(crate) const IR: Format = Format {
+        flag: 0x80,
+        bits: 10,
+        n_values: 640 * 488,
+        packet_bytes: 1908,
+        slower: 1,
+    };
+    pub(crate) const IR_HIGH: Format = Format {
+        n_values: 1280 * 1024,
+        slower: 3,
+        ..Self::IR
+    };
+
+    fn frame_bytes(&self) -> usize {
+        (self.n_values * self.bits as usize).div_ceil(8)
+    }
+
+    fn n_packets(&self) -> u64 {
+        self.frame_bytes().div_ceil(self.packet_bytes) as u64
+    }
+}
+
+/// A stream that has been started.
+#[derive(Debug)]
+pub(crate) struct Stream {
+    format: Format,
+    /// Frames to play, one after the other.
+    values: Vec<u16>,
+    frame_secs: f64,
+    /// Number of the frame, counted from when the device was plugged in, that this stream starts with.
+    first_frame: u64,
+    /// Packets since then.
+    n_packets: u64,
+    lose_every: u64,
+    lose_run: u64,
+    sequence: u8,
+    packed: Vec<u8>,
+    packed_frame: Option<u64>,
+}
+
+impl Stream {
+    /// A stream that starts with the first frame that begins after `now`.
+    pub(crate) fn start(
+        format: Format,
+        values: Vec<u16>,
+        frame_secs: f64,
+        now: Duration,
+        (lose_every, lose_run): (u64, u64),
+    ) -> Self {
+        let frame_secs = frame_secs * format.slower as f64;
+        Stream {
+            format,
+            values,
+            frame_secs,
+            first_frame: (now.as_secs_f64() / frame_secs).ceil() as u64,
+            n_packets: 0,
+            lose_every,
+            lose_run,
+            sequence: 0,
+            packed: Vec::new(),
+            packed_frame: None,
+        }
+    }
+
+    fn frame(&self) -> u64 {
+        self.first_frame + self.n_packets / self.format.n_packets()
+    }
+
+    /// When the next packet comes: the packets of a frame are spread over its time.
+    pub(crate) fn due(&self) -> Duration {
+        let per_frame = self.format.n_packets();
+        let of_frame = (self.n_packets % per_frame + 1) as f64 / per_frame as f64;
+        Duration::from_secs_f64((self.frame() as f64 + of_frame) * self.frame_secs)
+    }
+
+    /// Ticks since the device was plugged in when the frame of the next packet was taken.
+    pub(crate) fn ticks(&self) -> u32 {
+        (self.frame() * self.format.slower * TICKS_PER_FRAME) as u32
+    }
+
+    /// The next packet comes and is written to `slot`; returns its length, 0 if it is lost on the way.
+    pub(crate) fn packet(&mut self, ticks: u32, slot: &mut [u8]) -> usize {
+        let number = self.n_packets % self.format.n_packets();
+        let is_lost = self.lose_every > 0 && self.n_packets % self.lose_every < self.lose_run;
+        let sequence = self.sequence;
+        self.pack_frame();
+        let start = number as usize * self.format.packet_bytes;
+        let end = self.packed.len().min(start + self.format.packet_bytes);
+        self.pass();
+        if is_lost {
+            return 0;
+        }
+        let data = &self.packed[start..end];
+        let position = match number {
+            0 => Position::First,
+            number if number + 1 == self.format.n_packets() => Position::Last,
+            _ => Position::Middle,
+        };
+        let header = header(self.format.flag, position, sequence, data.len(), ticks);
+        slot[..HEADER_BYTES].copy_from_slice(&header);
+        slot[HEADER_BYTES..HEADER_BYTES + data.len()].copy_from_slice(data);
+        HEADER_BYTES + data.len()
+    }
+
+    /// The next packet comes and finds nobody.
+    pub(crate) fn pass(&mut self) {
+        self.n_packets += 1;
+        self.sequence = self.sequence.wrapping_add(1);
+    }
+
+    fn pack_frame(&mut self) {
+        let frame = self.frame();
+        if self.packed_frame == Some(frame) {
+            return;
+        }
+        let n_frames = (self.values.len() / self.format.n_values) as u64;
+        if n_frames == 0 {
+            self.packed.clear();
+            self.packed.resize(self.format.frame_bytes(), 0);
+        } else {
+            let start = (frame % n_frames) as usize * self.format.n_values;
+            let values = &self.values[start..start + self.format.n_values];
+            pack(values, self.format.bits, &mut self.packed);
+        }
+        self.packed_frame = Some(frame);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_are_those_of_the_device() {
+        assert_eq!(Format::DEPTH.n_packets(), 242);
+        assert_eq!(Format::IR.n_packets(), 205);
+        assert_eq!(Format::IR_HIGH.n_packets(), 859);
+    }
+
+    #[test]
+    fn frames_begin_in_time_and_lose_what_they_are_told_to() {
+        let now = Duration::from_millis(50);
+        let values = vec![3; Format::DEPTH.n_values];
+        let mut stream = Stream::start(Format::DEPTH, values, 1.0 / 30.0, now, (100, 2));
+        assert_eq!(stream.ticks(), 4_000_000);
+        let mut slot = [0; 1760];
+        let lengths: Vec<usize> = (0..242).map(|_| stream.packet(0, &mut slot)).collect();
+        let lost: Vec<usize> = (0..242).filter(|i| lengths[*i] == 0).collect();
+        assert_eq!(lost, [0, 1, 100, 101, 200, 201]);
+        assert_eq!(lengths[2], 1760);
+        assert_eq!(lengths[241], HEADER_BYTES + 422_400 % 1748);
+        let due = stream.due().as_secs_f64();
+        assert!((due - (3.0 + 1.0 / 242.0) / 30.0).abs() < 1e-6, "{due}");
+    }
+}
