@@ -266,7 +266,7 @@ impl Decoded {
     }
 
     /// Takes depth and IR out, leaving empty images to be decoded into.
-    pub fn take_depth_and_ir(&mut self) -> (Image<f32>, Image<u16>) {
+    pub(crate) fn take_depth_and_ir(&mut self) -> (Image<f32>, Image<u16>) {
         (
             std::mem::replace(&mut self.depth, Image::filled(WIDTH, HEIGHT, 0.0)),
             std::mem::replace(&mut self.ir, Image::filled(WIDTH, HEIGHT, 0)),

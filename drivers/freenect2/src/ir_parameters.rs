@@ -1,6 +1,7 @@
 //! The IR camera as the device describes it.
 
 use depth_camera::Intrinsics;
+use serde::{Deserialize, Serialize};
 
 use crate::{HEIGHT, WIDTH};
 
@@ -23,7 +24,8 @@ pub struct IrParameterError {
 
 /// The IR camera of a Kinect II as its firmware and libfreenect2 give it: Brown–Conrady, in pixels of the mirrored image,
 /// whose first pixel has its centre at (0.5, 0.5).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct IrParameters {
     /// Horizontal focal length, pixels.
     pub fx: f64,

@@ -1,5 +1,7 @@
 //! A device, scenes with closed-form answers, and the figures of a decoded image against the truth.
 
+#![allow(dead_code, reason = "each test file uses its part")]
+
 use freenect2::{
     Decoded, Decoder, DecoderOptions, HEIGHT, IrParameters, P0Tables, RawPacket, WIDTH,
 };
