@@ -4,6 +4,7 @@
 //! depth, IR, the depth's standard deviation and the ambient light, with the device's [`P0Tables`] and [`IrParameters`].
 //!
 //! [`RawPacketWriter`] records packets, [`RawPacketCamera`] plays such a recording through the decoder.
+//! [`Freenect2Camera`] is a live device, reached through a [`Library`]: libfreenect2 itself with the feature `kinect2`.
 //!
 //! The ranging is that of the sensor's own processing as libfreenect2 has laid it open: three phase measurements, unwrapped
 //! together. Images come *mirrored*, left and right exchanged, as libfreenect2 and the sensor's own SDK deliver them, unless
@@ -11,6 +12,7 @@
 //! pixel, and motion between the exposures.
 
 mod decoder;
+mod live;
 mod recording;
 
 mod frames;
@@ -27,6 +29,7 @@ mod unwrap;
 
 pub use decoder::{Decoded, Decoder, DecoderError};
 pub use ir_parameters::{IrParameterError, IrParameters};
+pub use live::{Freenect2Camera, Library, LiveOptions, PacketCounts};
 pub use options::{BilateralOptions, DecoderOptions, EdgeAwareOptions, OptionError};
 pub use p0_tables::{P0_RESPONSE_BYTES, P0LengthError, P0Tables};
 pub use packet::{

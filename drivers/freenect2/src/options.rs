@@ -86,6 +86,9 @@ impl Default for DecoderOptions {
     }
 }
 
+/// Largest value of an exposure, linear counts.
+const MAX_COUNTS: f32 = 16_320.0;
+
 /// An option outside its bounds.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("decoder option {key} is {value}, must be {bound}")]
@@ -117,8 +120,11 @@ impl DecoderOptions {
         check("near_m", self.near_m, self.near_m > 0.0, positive)?;
         let far = self.far_m > self.near_m && self.far_m < 18.0;
         check("far_m", self.far_m, far, "above near_m and below 18")?;
-        let amplitude = self.min_amplitude > 0.0;
-        check("min_amplitude", self.min_amplitude, amplitude, positive)?;
+        let counts = |value: f32| value > 0.0 && value <= MAX_COUNTS;
+        let bound = "above 0 and at most 16320";
+        let (amplitude, noise) = (self.min_amplitude, self.read_noise);
+        check("min_amplitude", amplitude, counts(amplitude), bound)?;
+        check("read_noise", noise, counts(noise), bound)?;
         let misfit = self.max_misfit > 0.0 && self.max_misfit <= 1.0;
         check(
             "max_misfit",
@@ -126,8 +132,6 @@ impl DecoderOptions {
             misfit,
             "above 0 and at most 1",
         )?;
-        let noise = self.read_noise > 0.0;
-        check("read_noise", self.read_noise, noise, positive)?;
         let offset = self.depth_offset_m.abs() < self.near_m;
         let bound = "less than near_m in magnitude";
         check("depth_offset_m", self.depth_offset_m, offset, bound)?;
