@@ -2,7 +2,6 @@
 
 use std::{
     path::{Path, PathBuf},
-    thread,
     time::{Duration, Instant},
 };
 
@@ -10,19 +9,10 @@ use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image};
 
 use crate::{
     lists::{self, Moment},
+    pacing::{Pacer, Pacing},
     session::{self, SessionFile},
     sixteen_bit_png,
 };
-
-/// How fast a recording is played.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Pacing {
-    /// Every call to `grab` returns at once.
-    #[default]
-    AsFastAsPossible,
-    /// `grab` waits until as much time has passed since the first call as passed in the recording.
-    Recorded,
-}
 
 /// A recorded session, played from its start to its end.
 ///
@@ -34,9 +24,7 @@ pub struct ReplayCamera {
     depth_units_per_metre: f64,
     moments: Vec<Moment>,
     next: usize,
-    pacing: Pacing,
-    /// When the first moment that was asked for was played, and its time in the recording.
-    start: Option<(Instant, f64)>,
+    pacer: Pacer,
 }
 
 impl ReplayCamera {
@@ -68,27 +56,16 @@ impl ReplayCamera {
             depth_units_per_metre: session.depth_units_per_metre,
             moments,
             next: 0,
-            pacing: Pacing::default(),
-            start: None,
+            pacer: Pacer::default(),
         })
     }
 
     /// The same recording at another pace.
     pub fn with_pacing(self, pacing: Pacing) -> Self {
-        ReplayCamera { pacing, ..self }
-    }
-
-    /// Sleeps until the recorded offset of a moment has passed, but for `timeout` at most.
-    fn wait_until_due(&mut self, time_secs: f64, timeout: Duration) -> Result<(), CameraError> {
-        let (start, first_secs) = *self.start.get_or_insert((Instant::now(), time_secs));
-        // A gap too long for the clock is waited for one timeout after the other.
-        let offset = Duration::try_from_secs_f64(time_secs - first_secs).unwrap_or(Duration::MAX);
-        let remaining = offset.saturating_sub(start.elapsed());
-        thread::sleep(remaining.min(timeout));
-        if remaining > timeout {
-            return Err(CameraError::Timeout { waited: timeout });
+        ReplayCamera {
+            pacer: Pacer::new(pacing),
+            ..self
         }
-        Ok(())
     }
 
     /// Decodes an image of the recording; an error names the file.
@@ -124,9 +101,7 @@ impl DepthCamera for ReplayCamera {
         let Some(moment) = self.moments.get(self.next).cloned() else {
             return Ok(None);
         };
-        if self.pacing == Pacing::Recorded {
-            self.wait_until_due(moment.time_secs, timeout)?;
-        }
+        self.pacer.wait_until_due(moment.time_secs, timeout)?;
         let frame_id = self.next as u64;
         self.next += 1;
         self.decode(frame_id, &moment)

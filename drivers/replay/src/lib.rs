@@ -8,17 +8,24 @@
 //! A session that makes no sense is refused as a whole by [`ReplayCamera::open`]; an image that does not decode costs its
 //! own frame only. Nothing but the named lists, the images in them and a pose file named by the caller is ever opened.
 //! Not handled: images in other formats, a depth grid that differs from the IR grid.
+//!
+//! Recordings of other kinds are kept in the same way: see [`read_list`], [`Pacer`], [`ListFile`] and [`write_whole_file`].
 
 mod camera;
 mod session;
 
 mod content;
+mod files;
 mod lists;
+mod pacing;
 mod poses;
 mod sixteen_bit_png;
 mod writer;
 
-pub use camera::{Pacing, ReplayCamera};
+pub use camera::ReplayCamera;
 pub use content::content_hash;
+pub use files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file};
+pub use lists::{Entry, read_list};
+pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
-pub use writer::{SessionWriter, WriteError};
+pub use writer::SessionWriter;

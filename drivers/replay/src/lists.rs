@@ -17,10 +17,11 @@ const ROUNDING_SECS: f64 = 1e-9;
 
 /// One line of a list.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Entry {
-    pub(crate) time_secs: f64,
+pub struct Entry {
+    /// The device's clock, seconds.
+    pub time_secs: f64,
     /// Relative to the session's folder, never leaving it.
-    pub(crate) file_name: String,
+    pub file_name: String,
 }
 
 /// The images of one moment; at least one is there.
@@ -32,7 +33,10 @@ pub(crate) struct Moment {
 }
 
 /// Reads a list; times increase strictly.
-pub(crate) fn read_list(path: &Path) -> Result<Vec<Entry>, CameraError> {
+///
+/// # Errors
+/// [`CameraError::Invalid`] naming file, line and value.
+pub fn read_list(path: &Path) -> Result<Vec<Entry>, CameraError> {
     let text = fs::read_to_string(path).map_err(|error| invalid(path, error))?;
     let mut entries: Vec<Entry> = Vec::new();
     for (number, line) in content_lines(&text) {

@@ -1,8 +1,7 @@
 //! Writes a session folder that [`crate::ReplayCamera`] reads.
 
 use std::{
-    fs::{self, File, OpenOptions},
-    io::{self, BufWriter, Write},
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 
@@ -10,36 +9,10 @@ use depth_camera::{CameraError, CameraInfo, Frame, Image};
 use png::EncodingError;
 
 use crate::{
+    files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file},
     session::{self, SessionFile},
     sixteen_bit_png,
 };
-
-/// Why a recording could not be written.
-#[derive(Debug, thiserror::Error)]
-pub enum WriteError {
-    /// The system refused: no space, no permission, no such folder.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file or folder that could not be written.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The folder holds something already.
-    #[error("{} is not empty, a recording goes into a new or an empty folder", .0.display())]
-    NotEmpty(PathBuf),
-    /// The camera's description would not be read again.
-    #[error(transparent)]
-    Camera(#[from] CameraError),
-    /// A frame that does not belong into this recording; nothing of it was written.
-    #[error("frame {frame_id} cannot be recorded: {reason}")]
-    Frame {
-        /// The frame that was refused.
-        frame_id: u64,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
 
 /// A recording being written.
 ///
@@ -155,7 +128,7 @@ impl SessionWriter {
             .into_iter()
             .flatten()
         {
-            list.file.sync_all().map_err(io_error(&list.path))?;
+            list.sync()?;
         }
         Ok(self.n_frames)
     }
@@ -199,46 +172,6 @@ impl SessionWriter {
     }
 }
 
-/// A list that only ever grows by whole lines.
-#[derive(Debug)]
-struct ListFile {
-    path: PathBuf,
-    file: File,
-    length: u64,
-}
-
-impl ListFile {
-    fn create(path: PathBuf) -> Result<Self, WriteError> {
-        let file = OpenOptions::new()
-            .append(true)
-            .create_new(true)
-            .open(&path)
-            .map_err(io_error(&path))?;
-        let mut list = ListFile {
-            path,
-            file,
-            length: 0,
-        };
-        list.append_line("# timestamp filename\n")?;
-        Ok(list)
-    }
-
-    fn append(&mut self, time_secs: f64, file_name: &str) -> Result<(), WriteError> {
-        self.append_line(&format!("{time_secs:.6} {file_name}\n"))
-    }
-
-    /// Takes back what was written of a line that did not fit on the disk.
-    fn append_line(&mut self, line: &str) -> Result<(), WriteError> {
-        if let Err(source) = self.file.write_all(line.as_bytes()) {
-            // Shortening needs no space; if even that fails, the first error is the one to report.
-            let _ = self.file.set_len(self.length);
-            return Err(io_error(&self.path)(source));
-        }
-        self.length += line.len() as u64;
-        Ok(())
-    }
-}
-
 /// Depth in the units of the recording.
 fn depth_units(metres: f32, units_per_metre: f64) -> u16 {
     let units = (f64::from(metres) * units_per_metre).round();
@@ -253,26 +186,6 @@ fn size<T>(image: &Image<T>) -> (usize, usize) {
     (image.width(), image.height())
 }
 
-fn io_error(path: &Path) -> impl Fn(io::Error) -> WriteError + '_ {
-    move |source| WriteError::Io {
-        path: path.to_owned(),
-        source,
-    }
-}
-
-fn create_empty_folder(folder: &Path) -> Result<(), WriteError> {
-    create_folder(folder)?;
-    let mut entries = fs::read_dir(folder).map_err(io_error(folder))?;
-    match entries.next() {
-        Some(_) => Err(WriteError::NotEmpty(folder.to_owned())),
-        None => Ok(()),
-    }
-}
-
-fn create_folder(folder: &Path) -> Result<(), WriteError> {
-    fs::create_dir_all(folder).map_err(io_error(folder))
-}
-
 fn write_png(path: &Path, image: &Image<u16>) -> Result<(), WriteError> {
     write_whole_file(path, |out| {
         sixteen_bit_png::write(out, image).map_err(|error| match error {
@@ -280,23 +193,4 @@ fn write_png(path: &Path, image: &Image<u16>) -> Result<(), WriteError> {
             other => io::Error::other(other),
         })
     })
-}
-
-/// Writes a file under a temporary name and renames it, so that it is there whole or not at all.
-fn write_whole_file(
-    path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> Result<(), WriteError> {
-    let partial = path.with_extension("partial");
-    let result = File::create(&partial).and_then(|file| {
-        let mut out = BufWriter::new(file);
-        write(&mut out)?;
-        out.flush()?;
-        fs::rename(&partial, path)
-    });
-    if result.is_err() {
-        // What is left of it is of no use; the error to report is the first one.
-        let _ = fs::remove_file(&partial);
-    }
-    result.map_err(io_error(path))
 }

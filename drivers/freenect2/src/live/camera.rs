@@ -1,0 +1,239 @@
+//! A live Kinect II as a depth camera.
+
+use std::{
+    sync::{
+        Arc,
+        mpsc::{self, Receiver, RecvTimeoutError, SyncSender},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame};
+
+use super::{
+    device_thread::{DeviceThread, Reopen, Report},
+    shim::Library,
+    slot::{PacketCounts, PacketSlot, Stamped},
+};
+use crate::{
+    frames::{self, FrameDecoder},
+    options::DecoderOptions,
+    packet::RawPacket,
+    recording::DeviceRecord,
+};
+
+/// How a live device is used.
+#[derive(Clone, Debug)]
+pub struct LiveOptions {
+    /// Which device; the first one's if `None`.
+    pub serial: Option<String>,
+    /// How its packets are decoded; frames are never mirrored.
+    pub decoder: DecoderOptions,
+    /// How long opening may take, until its calibration is read. Opening resets the device.
+    pub open_timeout: Duration,
+    /// How long the first packet may take to come after that.
+    pub first_packet_timeout: Duration,
+    /// Silence after which the device counts as unplugged, which is all that libfreenect2 lets see: 15 frames.
+    pub max_silence: Duration,
+    /// How often an unplugged device is looked for.
+    pub reopen_interval: Duration,
+    /// How long closing may take before the thread that waits for it is left behind.
+    pub close_timeout: Duration,
+}
+
+impl Default for LiveOptions {
+    fn default() -> Self {
+        LiveOptions {
+            serial: None,
+            decoder: DecoderOptions::default(),
+            open_timeout: Duration::from_secs(10),
+            first_packet_timeout: Duration::from_secs(3),
+            max_silence: Duration::from_millis(500),
+            reopen_interval: Duration::from_millis(500),
+            close_timeout: Duration::from_secs(2),
+        }
+    }
+}
+
+/// A live Kinect II.
+///
+/// `grab` decodes the newest packet; older ones that nobody took are left out, and `frame_id` counts them and those that were
+/// lost. Silence ends in one [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab`
+/// gives [`CameraError::Timeout`] until it is back, and the stream goes on with higher `frame_id`s and later times.
+#[derive(Debug)]
+pub struct Freenect2Camera {
+    info: CameraInfo,
+    record: DeviceRecord,
+    options: LiveOptions,
+    decoder: FrameDecoder,
+    slot: Arc<PacketSlot>,
+    packet: Stamped,
+    /// When the present stream began; `None` while the device is gone.
+    streaming_since: Option<Instant>,
+    /// Taken when the camera is dropped, which ends the thread.
+    commands: Option<SyncSender<Reopen>>,
+    reports: Receiver<Report>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Freenect2Camera {
+    /// Opens a device, starts depth and reads its calibration.
+    ///
+    /// # Errors
+    /// [`CameraError::Disconnected`] without such a device, [`CameraError::Busy`], [`CameraError::PermissionDenied`],
+    /// [`CameraError::Timeout`] if the library does not answer, [`CameraError::Invalid`] for options or a calibration that
+    /// make no sense, and with the library's own words for all else.
+    pub fn open(library: Library, options: LiveOptions) -> Result<Self, CameraError> {
+        let slot = Arc::new(PacketSlot::new());
+        // One of each is under way at most; a second command has nothing to add.
+        let (commands, from_camera) = mpsc::sync_channel(1);
+        let (to_camera, reports) = mpsc::sync_channel(1);
+        let device = DeviceThread {
+            library,
+            serial: options.serial.clone(),
+            slot: slot.clone(),
+            reopen_interval: options.reopen_interval,
+            commands: from_camera,
+            reports: to_camera,
+        };
+        let thread = thread::Builder::new()
+            .name("k2-device".to_owned())
+            .spawn(|| device.run())
+            .map_err(|error| CameraError::Invalid(format!("no thread for the device: {error}")))?;
+        let record = wait_for_report(&reports, options.open_timeout)?;
+        Ok(Freenect2Camera {
+            info: frames::camera_info(&record.serial, &record.ir_parameters, None),
+            decoder: decoder_of(&record, options.decoder)?,
+            record,
+            options,
+            slot,
+            packet: Stamped::empty(),
+            streaming_since: Some(Instant::now()),
+            commands: Some(commands),
+            reports,
+            thread: Some(thread),
+        })
+    }
+
+    /// What the device says of itself, for a recording of its packets.
+    pub fn device(&self) -> &DeviceRecord {
+        &self.record
+    }
+
+    /// What became of the packets so far.
+    pub fn counts(&self) -> PacketCounts {
+        self.slot.counts()
+    }
+
+    /// The packet of the last frame, to be recorded; all zero before the first.
+    pub fn last_packet(&self) -> RawPacket<'_> {
+        RawPacket::new(&self.packet.bytes).expect("a slot holds whole packets alone")
+    }
+
+    /// Waits until the device is back.
+    fn wait_for_return(&mut self, timeout: Duration) -> Result<(), CameraError> {
+        let record = wait_for_report(&self.reports, timeout)?;
+        if record != self.record {
+            self.decoder = decoder_of(&record, self.options.decoder)?;
+            self.info = frames::camera_info(&record.serial, &record.ir_parameters, None);
+            self.record = record;
+        }
+        self.streaming_since = Some(Instant::now());
+        Ok(())
+    }
+
+    /// When a stream that began then counts as unplugged.
+    fn silent_at(&self, streaming_since: Instant) -> Instant {
+        match self.slot.last_arrival() {
+            Some(last) if last >= streaming_since => last + self.options.max_silence,
+            _ => streaming_since + self.options.first_packet_timeout,
+        }
+    }
+
+    /// Gives the device up and has it looked for.
+    fn disconnect(&mut self) -> CameraError {
+        self.streaming_since = None;
+        if let Some(commands) = &self.commands {
+            // Full means that it is being looked for already.
+            let _ = commands.try_send(Reopen);
+        }
+        CameraError::Disconnected
+    }
+}
+
+impl DepthCamera for Freenect2Camera {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+
+    fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        let deadline = Instant::now() + timeout;
+        let streaming_since = match self.streaming_since {
+            Some(since) => since,
+            None => {
+                self.wait_for_return(timeout)?;
+                Instant::now()
+            }
+        };
+        loop {
+            let silent_at = self.silent_at(streaming_since);
+            if self.slot.take(&mut self.packet, deadline.min(silent_at)) {
+                break;
+            }
+            let now = Instant::now();
+            // Damaged packets may have come meanwhile: they are a sign of life.
+            if now >= self.silent_at(streaming_since) {
+                return Err(self.disconnect());
+            }
+            if now >= deadline {
+                return Err(CameraError::Timeout { waited: timeout });
+            }
+        }
+        let packet = RawPacket::new(&self.packet.bytes).expect("a slot holds whole packets alone");
+        Ok(Some(self.decoder.frame(
+            packet,
+            self.packet.position,
+            self.packet.device_time_secs,
+            self.packet.host_time,
+        )))
+    }
+}
+
+impl Drop for Freenect2Camera {
+    fn drop(&mut self) {
+        self.commands = None;
+        let deadline = Instant::now() + self.options.close_timeout;
+        // The thread drops its end when it is done; a device that came back meanwhile is of no use.
+        loop {
+            let remaining = deadline.saturating_duration_since(Instant::now());
+            match self.reports.recv_timeout(remaining) {
+                Ok(_) => {}
+                Err(RecvTimeoutError::Timeout) => return,
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        if let Some(thread) = self.thread.take() {
+            // A panic there was told of by its hook.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn wait_for_report(
+    reports: &Receiver<Report>,
+    timeout: Duration,
+) -> Result<DeviceRecord, CameraError> {
+    match reports.recv_timeout(timeout) {
+        Ok(report) => report,
+        Err(RecvTimeoutError::Timeout) => Err(CameraError::Timeout { waited: timeout }),
+        Err(RecvTimeoutError::Disconnected) => Err(CameraError::Disconnected),
+    }
+}
+
+fn decoder_of(record: &DeviceRecord, options: DecoderOptions) -> Result<FrameDecoder, CameraError> {
+    let serial = &record.serial;
+    let invalid = |what: &dyn std::fmt::Display| CameraError::Invalid(format!("{serial}: {what}"));
+    let tables = record.p0_tables().map_err(|error| invalid(&error))?;
+    FrameDecoder::new(&tables, &record.ir_parameters, options).map_err(|error| invalid(&error))
+}

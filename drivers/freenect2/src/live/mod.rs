@@ -1,0 +1,10 @@
+//! Live devices, through the shim over libfreenect2.
+
+mod camera;
+mod device_thread;
+mod shim;
+mod slot;
+
+pub use camera::{Freenect2Camera, LiveOptions};
+pub use shim::Library;
+pub use slot::PacketCounts;

@@ -1,0 +1,250 @@
+//! The one place between the library's thread and the camera's: the newest packet, and nothing older.
+//!
+//! A packet is copied once, out of the library's memory, and then changes hands by swapping buffers: one is being filled,
+//! one is the newest, one is being decoded. The library's thread never waits for a decoder.
+
+use std::{
+    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use crate::packet::PACKET_BYTES;
+
+/// Seconds of one tick of the device's clock.
+const TICK_SECS: f64 = 0.000_125;
+
+/// What became of the packets of a device, since the camera was opened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PacketCounts {
+    /// Whole and in order.
+    pub good: u64,
+    /// Of these, replaced by a newer one before anybody took them.
+    pub superseded: u64,
+    /// Of the wrong length.
+    pub truncated: u64,
+    /// Called damaged by the library.
+    pub damaged: u64,
+    /// With the number of one that came before.
+    pub out_of_order: u64,
+    /// Never seen: gaps in the numbers.
+    pub lost: u64,
+}
+
+/// A packet as the library hands it on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Incoming<'a> {
+    pub bytes: &'a [u8],
+    /// Device clock, ticks; wraps.
+    pub timestamp: u32,
+    pub sequence: u32,
+    pub status: u32,
+}
+
+/// A packet with its place in the stream.
+#[derive(Clone, Debug)]
+pub(super) struct Stamped {
+    pub bytes: Vec<u8>,
+    /// Counts packets from the first, lost ones too.
+    pub position: u64,
+    pub device_time_secs: f64,
+    pub host_time: Instant,
+}
+
+impl Stamped {
+    /// Memory for a packet.
+    pub fn empty() -> Self {
+        Stamped {
+            bytes: vec![0; PACKET_BYTES],
+            position: 0,
+            device_time_secs: 0.0,
+            host_time: Instant::now(),
+        }
+    }
+}
+
+/// The newest packet of a device.
+#[derive(Debug)]
+pub(super) struct PacketSlot {
+    state: Mutex<State>,
+    arrived: Condvar,
+    /// Only the library's thread has this.
+    filling: Mutex<Stamped>,
+}
+
+#[derive(Debug)]
+struct State {
+    newest: Stamped,
+    fresh: bool,
+    /// The last good packet's sequence and timestamp; `None` before the first of a stream.
+    last: Option<(u32, u32)>,
+    /// Position and time of the last good packet, over all streams.
+    position: Option<u64>,
+    device_time_secs: f64,
+    last_arrival: Option<Instant>,
+    counts: PacketCounts,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl PacketSlot {
+    pub fn new() -> Self {
+        PacketSlot {
+            state: Mutex::new(State {
+                newest: Stamped::empty(),
+                fresh: false,
+                last: None,
+                position: None,
+                device_time_secs: 0.0,
+                last_arrival: None,
+                counts: PacketCounts::default(),
+            }),
+            arrived: Condvar::new(),
+            filling: Mutex::new(Stamped::empty()),
+        }
+    }
+
+    /// Takes a packet from the library's thread: the only copy on a packet's way.
+    pub fn offer(&self, packet: Incoming<'_>) {
+        let host_time = Instant::now();
+        let mut filling = lock(&self.filling);
+        let Some((position, device_time_secs)) = lock(&self.state).admit(packet, host_time) else {
+            return;
+        };
+        filling.bytes.copy_from_slice(packet.bytes);
+        filling.position = position;
+        filling.device_time_secs = device_time_secs;
+        filling.host_time = host_time;
+        let mut state = lock(&self.state);
+        std::mem::swap(&mut state.newest, &mut *filling);
+        state.counts.superseded += u64::from(state.fresh);
+        state.fresh = true;
+        drop(state);
+        self.arrived.notify_one();
+    }
+
+    /// Waits until `deadline` for a packet that was not taken yet, and swaps it for `mine`.
+    pub fn take(&self, mine: &mut Stamped, deadline: Instant) -> bool {
+        let mut state = lock(&self.state);
+        while !state.fresh {
+            let remaining = deadline.saturating_duration_since(Instant::now());
+            if remaining == Duration::ZERO {
+                return false;
+            }
+            let waited = self.arrived.wait_timeout(state, remaining);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        std::mem::swap(&mut state.newest, mine);
+        state.fresh = false;
+        true
+    }
+
+    /// When the device was last heard of, be it by a damaged packet.
+    pub fn last_arrival(&self) -> Option<Instant> {
+        lock(&self.state).last_arrival
+    }
+
+    pub fn counts(&self) -> PacketCounts {
+        lock(&self.state).counts
+    }
+
+    /// Prepares for a stream that begins anew, with numbers and a clock of its own.
+    pub fn begin_stream(&self) {
+        let mut state = lock(&self.state);
+        state.last = None;
+        state.fresh = false;
+    }
+}
+
+impl State {
+    /// Judges a packet and gives a good one its place and time.
+    fn admit(&mut self, packet: Incoming<'_>, host_time: Instant) -> Option<(u64, f64)> {
+        let silent = self
+            .last_arrival
+            .map_or(Duration::ZERO, |last| host_time - last);
+        self.last_arrival = Some(host_time);
+        if packet.bytes.len() != PACKET_BYTES {
+            self.counts.truncated += 1;
+            return None;
+        }
+        if packet.status != 0 {
+            self.counts.damaged += 1;
+            return None;
+        }
+        let (steps, elapsed_secs) = match self.last {
+            Some((sequence, timestamp)) => {
+                let steps = packet.sequence.wrapping_sub(sequence);
+                if steps == 0 || steps > u32::MAX / 2 {
+                    self.counts.out_of_order += 1;
+                    return None;
+                }
+                let ticks = packet.timestamp.wrapping_sub(timestamp);
+                (steps, f64::from(ticks) * TICK_SECS)
+            }
+            // The device's clock begins anew with a stream; it goes on from the last by this machine's.
+            None => (1, silent.as_secs_f64().max(TICK_SECS)),
+        };
+        self.counts.lost += u64::from(steps - 1);
+        self.counts.good += 1;
+        self.last = Some((packet.sequence, packet.timestamp));
+        let position = self.position.map_or(0, |last| last + u64::from(steps));
+        if self.position.is_some() {
+            self.device_time_secs += elapsed_secs;
+        } else {
+            self.device_time_secs = f64::from(packet.timestamp) * TICK_SECS;
+        }
+        self.position = Some(position);
+        Some((position, self.device_time_secs))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn offer(slot: &PacketSlot, bytes: &[u8], timestamp: u32, sequence: u32) {
+        slot.offer(Incoming {
+            bytes,
+            timestamp,
+            sequence,
+            status: 0,
+        });
+    }
+
+    #[test]
+    fn numbers_and_clock_go_on_over_their_wrap() {
+        let (slot, bytes) = (PacketSlot::new(), vec![1; PACKET_BYTES]);
+        let mut mine = Stamped::empty();
+        offer(&slot, &bytes, u32::MAX - 7, u32::MAX);
+        assert!(slot.take(&mut mine, Instant::now()));
+        let start_secs = mine.device_time_secs;
+        offer(&slot, &bytes, 258, 1);
+        assert!(slot.take(&mut mine, Instant::now()));
+        assert_eq!(mine.position, 2);
+        assert!((mine.device_time_secs - start_secs - 266.0 * TICK_SECS).abs() < 1e-9);
+        assert_eq!(slot.counts().lost, 1);
+        assert!(!slot.take(&mut mine, Instant::now()));
+    }
+
+    #[test]
+    fn only_the_newest_is_kept_and_buffers_change_hands() {
+        let slot = PacketSlot::new();
+        let mut mine = Stamped::empty();
+        let buffer = mine.bytes.as_ptr();
+        for sequence in 0..5 {
+            offer(
+                &slot,
+                &vec![sequence as u8; PACKET_BYTES],
+                sequence,
+                sequence,
+            );
+        }
+        assert!(slot.take(&mut mine, Instant::now()));
+        assert_eq!((mine.bytes[0], mine.position), (4, 4));
+        assert_eq!(slot.counts().superseded, 4);
+        assert_eq!(slot.counts().lost, 0);
+        // Nothing is copied on this side: the buffer handed in is the one that the slot goes on with.
+        assert_eq!(lock(&slot.state).newest.bytes.as_ptr(), buffer);
+    }
+}

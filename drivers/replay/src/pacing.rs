@@ -1,0 +1,55 @@
+//! How fast a recording is played.
+
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
+
+use depth_camera::CameraError;
+
+/// How fast a recording is played.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pacing {
+    /// Every call to `grab` returns at once.
+    #[default]
+    AsFastAsPossible,
+    /// `grab` waits until as much time has passed since the first call as passed in the recording.
+    Recorded,
+}
+
+/// Holds the moments of a recording back until they are due.
+#[derive(Clone, Debug, Default)]
+pub struct Pacer {
+    pacing: Pacing,
+    /// When the first moment that was asked for was played, and its time in the recording.
+    start: Option<(Instant, f64)>,
+}
+
+impl Pacer {
+    /// A pacer that has not seen a moment yet.
+    pub fn new(pacing: Pacing) -> Self {
+        Pacer {
+            pacing,
+            start: None,
+        }
+    }
+
+    /// Sleeps until the recorded offset of a moment has passed, but for `timeout` at most.
+    ///
+    /// # Errors
+    /// [`CameraError::Timeout`] if the moment is not due by then.
+    pub fn wait_until_due(&mut self, time_secs: f64, timeout: Duration) -> Result<(), CameraError> {
+        if self.pacing == Pacing::AsFastAsPossible {
+            return Ok(());
+        }
+        let (start, first_secs) = *self.start.get_or_insert((Instant::now(), time_secs));
+        // A gap too long for the clock is waited for one timeout after the other.
+        let offset = Duration::try_from_secs_f64(time_secs - first_secs).unwrap_or(Duration::MAX);
+        let remaining = offset.saturating_sub(start.elapsed());
+        thread::sleep(remaining.min(timeout));
+        if remaining > timeout {
+            return Err(CameraError::Timeout { waited: timeout });
+        }
+        Ok(())
+    }
+}
