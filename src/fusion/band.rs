@@ -1,7 +1,8 @@
 //! Which blocks a frame touches: those along its truncation band.
 
+use super::block::{BLOCK_SIDE, BlockCoord};
 use super::pyramid::FramePyramid;
-use super::volume::{BLOCK_SIDE, BlockCoord, Refusal, TsdfVolume};
+use super::volume::{Refusal, TsdfVolume};
 use crate::geometry::Pose;
 use nalgebra::Vector3;
 
@@ -117,7 +118,7 @@ impl Band {
             (4.0 * volume.truncation_m() / (volume.voxel_size_m() * BLOCK_SIDE as f32)).ceil();
         for step in 0..=n_steps as usize {
             let z = depth + band * (2.0 * step as f32 / n_steps - 1.0);
-            let coord = volume.block_of(&(origin + direction * z));
+            let coord = volume.block_of((origin + direction * z).into());
             if self.last == Some(coord) {
                 continue;
             }

@@ -1,6 +1,7 @@
 //! The voxels of a block as bits, a word for each slab of 8×8, and what becomes of 64 cubes and edges at a time.
 
-use super::volume::{BLOCK_SIDE, Block, BlockCoord, TsdfVolume, WEIGHT_ONE};
+use super::block::{BLOCK_SIDE, BRICK_VOXELS, Block, BlockCoord, WEIGHT_ONE};
+use super::volume::TsdfVolume;
 
 /// Slabs of a block.
 pub const SLABS: usize = BLOCK_SIDE as usize;
@@ -49,24 +50,40 @@ impl Voxels {
     pub fn of(block: &Block, min_weight: f32) -> Self {
         let least = (min_weight * WEIGHT_ONE).ceil().max(1.0) as u16;
         let mut voxels = Voxels::default();
-        let rows = block
-            .tsdf
-            .as_chunks::<8>()
-            .0
-            .iter()
-            .zip(block.weight.as_chunks::<8>().0);
-        for (row, (tsdf, weight)) in rows.enumerate() {
-            let (mut seen, mut inside) = (0, 0);
-            for x in 0..8 {
-                seen |= u64::from(weight[x] >= least) << x;
-                inside |= u64::from(tsdf[x] < 0) << x;
+        let bricks = block.tsdf.as_chunks::<BRICK_VOXELS>().0.iter();
+        let weights = block.weight.as_chunks::<BRICK_VOXELS>().0;
+        for (brick, (tsdf, weight)) in bricks.zip(weights).enumerate() {
+            let seen = word(&weight.map(|weight| u8::from(weight >= least)));
+            let inside = seen & word(&tsdf.map(|tsdf| u8::from(tsdf < 0)));
+            // Four layers of a brick go to as many slabs.
+            let (first_slab, at) = (brick >> 2 << 2, 4 * (brick & 1) + 32 * (brick >> 1 & 1));
+            for layer in 0..4 {
+                voxels.seen[first_slab + layer] |= spread(seen >> (16 * layer)) << at;
+                voxels.inside[first_slab + layer] |= spread(inside >> (16 * layer)) << at;
             }
-            let at = 8 * (row % 8);
-            voxels.seen[row / 8] |= seen << at;
-            voxels.inside[row / 8] |= (seen & inside) << at;
         }
         voxels
     }
+}
+
+/// 64 flags, each 0 or 1, as bits.
+#[inline(always)]
+fn word(flags: &[u8; BRICK_VOXELS]) -> u64 {
+    let mut word = 0;
+    for (row, flags) in flags.as_chunks::<8>().0.iter().enumerate() {
+        // The product has flag i at bit 56 + i.
+        let bits = u64::from_le_bytes(*flags).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+        word |= bits << (8 * row);
+    }
+    word
+}
+
+/// The 16 lowest bits, 4×4 voxels, at the low half of four rows of 8.
+#[inline(always)]
+fn spread(layer: u64) -> u64 {
+    let layer = layer & 0xFFFF;
+    let pairs = (layer | layer << 8) & 0x00FF_00FF;
+    (pairs | pairs << 4) & 0x0F0F_0F0F
 }
 
 /// A plane of voxels with its neighbours along x, along y and along both, each at the bit of the voxel that it neighbours.
@@ -164,4 +181,25 @@ pub fn bits(mut word: u64) -> impl Iterator<Item = usize> {
         word &= word.wrapping_sub(1);
         found
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::block::{BLOCK_VOXELS, voxel_index};
+
+    #[test]
+    fn every_voxel_is_at_its_bit() {
+        for number in 0..BLOCK_VOXELS {
+            let [x, y, z] = [number & 7, number >> 3 & 7, number >> 6];
+            let mut block = Block::EMPTY;
+            let index = voxel_index([x, y, z].map(|c| c as i32));
+            (block.tsdf[index], block.weight[index]) = (-5, 300);
+            let voxels = Voxels::of(&block, 1.0);
+            let mut expected = [0; SLABS];
+            expected[z] = 1 << (x + 8 * y);
+            assert_eq!((voxels.seen, voxels.inside), (expected, expected));
+            assert_eq!(Voxels::of(&block, 1.2).seen, [0; SLABS]);
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! The frame in hand, from a depth image to measurements, and those into a volume; its buffers are kept from frame to frame.
 
 use super::band::Band;
-use super::integrate::{View, integrate};
+use super::integrate::integrate;
 use super::lens::Lens;
 use super::noise::DepthNoise;
 use super::observe::Observations;
@@ -9,6 +9,7 @@ use super::preprocess::{DepthRange, build_levels, clip_depth};
 use super::pyramid::{FramePyramid, Level};
 use super::raycast::{ModelMap, raycast};
 use super::steps::{FusionStep, OnStep};
+use super::view::View;
 use super::volume::TsdfVolume;
 use crate::geometry::{CameraModel, Pose};
 use depth_camera::Image;
@@ -41,7 +42,7 @@ impl Eye {
             noise,
             range,
             lens: Lens::new(camera),
-            observations: Observations::new(&frame),
+            observations: Observations::new(&frame, range.far_m),
             frame,
         }
     }
@@ -64,12 +65,13 @@ impl Eye {
         world_from_camera: &Pose,
         on_step: &mut OnStep,
     ) {
-        self.observations.fill(self.arch, &self.frame, &self.noise);
+        let truncation_m = volume.truncation_m();
+        self.observations
+            .fill(self.arch, &self.frame, &self.noise, truncation_m);
         band.find(volume, &self.frame, world_from_camera);
         on_step(FusionStep::Allocate);
         let view = View::new(volume, self.lens, world_from_camera);
-        let pixels = self.observations.pixels();
-        integrate(self.arch, volume, band.touched(), pixels, &view);
+        integrate(self.arch, volume, band.touched(), &self.observations, &view);
         on_step(FusionStep::Integrate);
     }
 
@@ -82,6 +84,7 @@ impl Eye {
         map: &mut ModelMap,
     ) {
         raycast(
+            self.arch,
             volume,
             self.level(level),
             world_from_camera,

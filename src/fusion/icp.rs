@@ -1,13 +1,15 @@
 //! Tracking: projective point-to-plane ICP against the raycast model (Newcombe et al. 2011).
 
+use super::lanes::LANES;
 use super::lens::Lens;
 use super::noise::DepthNoise;
-use super::normal_equations::{LANES, Lane, NormalEquations, Rows, TileSums, huber_weight};
+use super::normal_equations::{Rows, huber_weight};
+use super::points::{Points, Residuals, equations};
 use super::pyramid::{FramePyramid, Level, N_REDUCED};
 use super::raycast::ModelMap;
 use crate::geometry::Pose;
 use nalgebra::{Matrix3, Vector3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Arch;
 use serde::{Deserialize, Serialize};
 
 /// Gates and iterations of the alignment.
@@ -47,6 +49,8 @@ pub struct CastModel<'a> {
 }
 
 /// Aligns a frame to the raycast model from a first guess; `None` where nothing matches at all.
+// A symbol of its own, by which tests/bench/instructions.sh counts.
+#[inline(never)]
 pub fn align(
     arch: Arch,
     frame: &FramePyramid,
@@ -64,17 +68,13 @@ pub fn align(
             min_normal_cosine: params.max_normal_angle_rad.cos() as f32,
         };
         for _ in 0..iterations {
-            let motion = Motion::new(&world_from_camera, model.world_from_camera);
-            let equations = NormalEquations::of_tiles(level.n_tiles(), |tile| {
-                arch.dispatch(PointToPlane {
-                    level,
-                    tile,
-                    model,
-                    motion: &motion,
-                    noise,
-                    gates,
-                })
-            });
+            let target = PointToPlane {
+                model,
+                motion: Motion::new(&world_from_camera, model.world_from_camera),
+                noise,
+                gates,
+            };
+            let equations = equations(arch, level, &target);
             let step = equations.solve(&world_from_camera.translation.vector)?;
             world_from_camera = step * world_from_camera;
             if is_small(&step) {
@@ -133,7 +133,7 @@ struct Gates {
 }
 
 /// A rotation by rows.
-type Rotation = [[f32; 3]; 3];
+pub type Rotation = [[f32; 3]; 3];
 
 /// The frame's pose, towards the world and towards the camera from which the model was cast.
 struct Motion {
@@ -170,34 +170,13 @@ pub fn turn(rotation: &Rotation, point: &[f32; 3], translation: &[f32; 3]) -> [f
 }
 
 struct PointToPlane<'a> {
-    level: &'a Level,
-    tile: usize,
     model: &'a CastModel<'a>,
-    motion: &'a Motion,
+    motion: Motion,
     noise: &'a DepthNoise,
     gates: Gates,
 }
 
-impl WithSimd for PointToPlane<'_> {
-    type Output = TileSums;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> TileSums {
-        let mut sums = TileSums::ZERO;
-        let mut rows = Rows::EMPTY;
-        for first in self.level.tile(self.tile).step_by(LANES) {
-            let Some(points) = Points::load(self.level, first) else {
-                continue;
-            };
-            sums.n_points += points.n_valid;
-            self.residuals(&points, &mut rows);
-            sums.add(&rows);
-        }
-        sums
-    }
-}
-
-impl PointToPlane<'_> {
+impl Residuals for PointToPlane<'_> {
     #[allow(
         clippy::needless_range_loop,
         reason = "one index runs through all the lanes, which is what becomes vector code"
@@ -209,7 +188,7 @@ impl PointToPlane<'_> {
             centre,
             map_rotation,
             map_translation,
-        } = self.motion;
+        } = &self.motion;
         let mut cells = [0; LANES];
         for i in 0..LANES {
             let point = [points.point[0][i], points.point[1][i], points.point[2][i]];
@@ -258,46 +237,5 @@ impl PointToPlane<'_> {
                 0.0
             };
         }
-    }
-}
-
-/// Points of a level, camera frame.
-pub struct Points {
-    /// Places, metres.
-    pub point: [Lane; 3],
-    /// Normals; zero where there is none.
-    pub normal: [Lane; 3],
-    /// How many have a normal.
-    pub n_valid: u32,
-}
-
-impl Points {
-    /// The points of `LANES` pixels from `first` on; `None` if none of them has a normal.
-    #[inline(always)]
-    pub fn load(level: &Level, first: usize) -> Option<Points> {
-        let load = |plane: &[f32]| -> Lane {
-            let mut lane = [0.0; LANES];
-            let cells = &plane[first..plane.len().min(first + LANES)];
-            match cells.first_chunk::<LANES>() {
-                Some(cells) => lane = *cells,
-                None => lane[..cells.len()].copy_from_slice(cells),
-            }
-            lane
-        };
-        let normal = [0, 1, 2].map(|axis| load(&level.normals[axis]));
-        let n_valid = normal[2].iter().map(|&z| u32::from(z < 0.0)).sum();
-        if n_valid == 0 {
-            return None;
-        }
-        let (mut x, mut y, z) = (load(&level.rays.x), load(&level.rays.y), load(&level.depth));
-        for i in 0..LANES {
-            x[i] *= z[i];
-            y[i] *= z[i];
-        }
-        Some(Points {
-            point: [x, y, z],
-            normal,
-            n_valid,
-        })
     }
 }

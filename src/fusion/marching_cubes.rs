@@ -4,15 +4,18 @@
 //! carries one vertex, whose number is that of the crossed edges before it, so that cubes share vertices without a search.
 //! Blocks are worked on in parallel, and their parts put together in the order of allocation.
 
+use super::block::{BLOCK_SIDE, BLOCK_VOXELS, voxel_index};
 use super::block_masks::{Cubes, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges};
 use super::cube_cases::{Case, edge_corners, trace_cases};
-use super::volume::{BLOCK_SIDE, BLOCK_VOXELS, TsdfVolume, voxel_index};
+use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
 use nalgebra::Point3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Extracts the zero surface where all eight voxels of a cube have at least `min_weight`.
+// A symbol of its own, by which tests/bench/instructions.sh counts.
+#[inline(never)]
 pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMesh {
     let blocks = volume.blocks().par_iter();
     let coords = volume.coords().par_iter();
@@ -213,7 +216,7 @@ impl Faces<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::{arch_levels, volume::tests::volume_of};
+    use crate::fusion::{arch_levels, sampling::tests::volume_of};
     use crate::geometry::EdgeAdjacency;
 
     #[test]

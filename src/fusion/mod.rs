@@ -12,6 +12,7 @@ mod params;
 mod steps;
 
 mod eye;
+mod lanes;
 mod lens;
 mod normals;
 mod preprocess;
@@ -20,12 +21,17 @@ mod pyramid;
 mod gates;
 mod icp;
 mod normal_equations;
+mod points;
 mod sdf_alignment;
 mod track;
 
 mod band;
+mod band_ends;
+mod block;
 mod integrate;
 mod observe;
+mod sampling;
+mod view;
 mod volume;
 
 mod raycast;
@@ -53,7 +59,7 @@ pub use depth_field::DepthField;
 pub use icp::IcpParams;
 pub use keyframes::Keyframe;
 #[cfg(test)]
-pub(crate) use lens::arch_levels;
+pub(crate) use lanes::arch_levels;
 pub use loop_closing::{LoopClosingParams, LoopClosure};
 pub use noise::DepthNoise;
 pub use outcome::{Fit, LossReason, TrackingOutcome};

@@ -1,13 +1,9 @@
 //! Weighted 6×6 normal equations, summed in single precision over a tile of pixels and in double precision over tiles.
 
+use super::lanes::{LANES, Lane};
 use crate::geometry::{Pose, increment};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use rayon::prelude::*;
-
-/// Residuals that go through a kernel together.
-pub const LANES: usize = 16;
-/// One value for each residual.
-pub type Lane = [f32; LANES];
 
 /// Residuals with their derivatives by the left increment about the camera's centre; a weight of 0 is no residual.
 #[derive(Clone, Debug)]

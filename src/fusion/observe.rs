@@ -1,22 +1,54 @@
 //! A frame as the volume takes it: for each pixel its depth, what it weighs, and how its surface slants.
 
-use super::lens::round_bits;
+use super::band_ends::{self, BandEnds, TILE};
+use super::block::WEIGHT_ONE;
+use super::lanes::round_bits;
 use super::noise::DepthNoise;
 use super::preprocess::SAME_SURFACE_SIGMAS;
 use super::pyramid::{FramePyramid, Level};
-use super::volume::WEIGHT_ONE;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// One pixel: depth (m, `f32`) in the low half, then its weight in units of 1/256 and its slope in units of 1/32768, 16 bits
-/// each. The slope is `n·(x, y, 1)` with the ray of the pixel: it turns a difference along the optical axis into a distance
-/// to the surface. A depth of 0 is no measurement.
-pub type Observation = u64;
+/// One pixel: its depth in steps of [`DepthStep`] in the low 16 bits, then its weight in units of 1/256 and its slope in
+/// units of 1/128, 8 bits each. The slope is `n·(x, y, 1)` with the ray of the pixel: it turns a difference along the optical
+/// axis into a distance to the surface. A depth of 0 is no measurement.
+pub type Observation = u32;
 
-/// Slopes are kept in steps of one 32768th: rays of 60° give 2 at most.
-pub const SLOPE_ONE: f32 = 32_768.0;
-/// Largest value of 16 bits.
+/// Slopes are kept in steps of one 128th: rays of 60° give 2 at most.
+const SLOPE_ONE: f32 = 128.0;
+/// Largest values of 8 and 16 bits.
+const MAX_8_BITS: f32 = 255.0;
 const MAX_16_BITS: f32 = 65_535.0;
+
+/// Depth is kept in steps of the largest depth / 65535, which is 0.03 mm within 2 m: far below the noise.
+#[derive(Clone, Copy, Debug)]
+pub struct DepthStep {
+    step_m: f32,
+    steps_per_m: f32,
+}
+
+impl DepthStep {
+    /// The step for depths up to `far_m`.
+    pub fn up_to(far_m: f32) -> Self {
+        DepthStep {
+            step_m: far_m / MAX_16_BITS,
+            steps_per_m: MAX_16_BITS / far_m,
+        }
+    }
+
+    /// Depth of an observation, metres.
+    #[inline(always)]
+    pub fn depth_of(self, pixel: Observation) -> f32 {
+        (pixel & 0xFFFF) as i32 as f32 * self.step_m
+    }
+
+    /// One pixel: depth (m), weight and slope.
+    #[inline(always)]
+    fn join(self, depth_m: f32, packed: u32) -> Observation {
+        packed << 16 | round_bits(depth_m * self.steps_per_m)
+    }
+}
+
 /// Depth at which a frontal measurement has weight 1: object scale.
 const REFERENCE_DEPTH_M: f32 = 0.6;
 /// Weight of a pixel without a normal, on a rim, where depth is least reliable; arbitrary.
@@ -31,14 +63,18 @@ pub struct Observations {
     pixels: Vec<Observation>,
     /// Weight and slope of the pixels of the image reduced by 2; 0 without a normal.
     half: Vec<u32>,
+    depth_step: DepthStep,
+    band_ends: BandEnds,
 }
 
 impl Observations {
-    /// Of an empty frame.
-    pub fn new(frame: &FramePyramid) -> Self {
+    /// Of an empty frame of depths up to `far_m`.
+    pub fn new(frame: &FramePyramid, far_m: f32) -> Self {
         Observations {
             pixels: vec![0; frame.depth.len() + 1],
             half: vec![0; frame.reduced[0].depth.len()],
+            depth_step: DepthStep::up_to(far_m),
+            band_ends: BandEnds::new(frame.rays.width, frame.rays.height),
         }
     }
 
@@ -48,67 +84,116 @@ impl Observations {
         &self.pixels
     }
 
+    /// In which steps depth is kept.
+    #[inline(always)]
+    pub fn depth_step(&self) -> DepthStep {
+        self.depth_step
+    }
+
+    /// Where the truncation band begins and ends.
+    #[inline(always)]
+    pub fn band_ends(&self) -> &BandEnds {
+        &self.band_ends
+    }
+
     /// Weighs every pixel of a frame by noise, (σ(0.6 m)/σ(z))², and by incidence on the surface of the half image.
-    pub fn fill(&mut self, arch: Arch, frame: &FramePyramid, noise: &DepthNoise) {
+    pub fn fill(
+        &mut self,
+        arch: Arch,
+        frame: &FramePyramid,
+        noise: &DepthNoise,
+        truncation_m: f32,
+    ) {
         let level = &frame.reduced[0];
         let (width, half_width) = (frame.rays.width, level.rays.width);
+        let step = self.depth_step;
         self.half
-            .par_chunks_mut(half_width)
-            .zip(self.pixels.par_chunks_mut(2 * width))
-            .zip(frame.depth.par_chunks_exact(2 * width))
+            .par_chunks_mut(TILE / 2 * half_width)
+            .zip(self.pixels.par_chunks_mut(TILE * width))
+            .zip(frame.depth.par_chunks(TILE * width))
+            .zip(self.band_ends.rows_mut())
             .enumerate()
-            .for_each(|(v, ((half, pixels), depth))| {
-                let row = v * half_width..(v + 1) * half_width;
-                arch.dispatch(HalfRow {
-                    out: half,
-                    level,
-                    first: row.start,
-                    noise,
-                });
-                for (pixels, depth) in pixels
-                    .chunks_exact_mut(width)
-                    .zip(depth.chunks_exact(width))
-                {
-                    arch.dispatch(FullRow {
-                        out: pixels,
-                        depth,
-                        half,
-                        half_depth: &level.depth[row.clone()],
-                        pitch: level.pitch,
+            .for_each(|(tile_row, (((half, pixels), depth), ends))| {
+                let rows = half
+                    .chunks_exact_mut(half_width)
+                    .zip(pixels.chunks_exact_mut(2 * width))
+                    .zip(depth.chunks_exact(2 * width));
+                for (v, ((half, pixels), depth)) in rows.enumerate() {
+                    let first = (tile_row * TILE / 2 + v) * half_width;
+                    arch.dispatch(HalfRow {
+                        out: half,
+                        level,
+                        first,
                         noise,
                     });
+                    for (pixels, depth) in pixels
+                        .chunks_exact_mut(width)
+                        .zip(depth.chunks_exact(width))
+                    {
+                        arch.dispatch(FullRow {
+                            out: pixels,
+                            depth,
+                            half,
+                            half_depth: &level.depth[first..first + half_width],
+                            pitch: level.pitch,
+                            noise,
+                            step,
+                        });
+                    }
                 }
+                band_ends::find(arch, ends, pixels, width, step, truncation_m);
             });
+    }
+
+    /// Of the pixels of a test.
+    #[cfg(test)]
+    pub fn of_pixels(
+        arch: Arch,
+        pixels: &[Observation],
+        width: usize,
+        depth_step: DepthStep,
+        truncation_m: f32,
+    ) -> Self {
+        let mut observations = Observations {
+            pixels: pixels.iter().copied().chain([0]).collect(),
+            half: Vec::new(),
+            depth_step,
+            band_ends: BandEnds::new(width, pixels.len() / width),
+        };
+        let rows = observations.band_ends.rows_mut();
+        rows.zip(pixels.par_chunks(TILE * width))
+            .for_each(|(ends, pixels)| {
+                band_ends::find(arch, ends, pixels, width, depth_step, truncation_m)
+            });
+        observations
     }
 }
 
-/// One pixel: depth (m), weight and slope.
+/// Slope of an observation.
 #[inline(always)]
-fn join(depth_m: f32, packed: u32) -> Observation {
-    (u64::from(packed) << 32) | u64::from(depth_m.to_bits())
+pub fn slope_of(pixel: Observation) -> f32 {
+    (pixel >> 24) as i32 as f32 * (1.0 / SLOPE_ONE)
+}
+
+/// Weight of an observation in units of 1/256.
+#[inline(always)]
+pub fn weight_of(pixel: Observation) -> f32 {
+    (pixel >> 16 & 0xFF) as i32 as f32
 }
 
 /// A pixel of a test.
 #[cfg(test)]
-pub fn observation(depth_m: f32, weight: f32, slope: f32) -> Observation {
-    join(depth_m, pack(weight, slope))
+pub fn observation(step: DepthStep, depth_m: f32, weight: f32, slope: f32) -> Observation {
+    step.join(depth_m, pack(weight, slope))
 }
 
-/// Weight and slope as 16 bits each.
+/// Weight, from 1/256 to 255/256, and slope as 8 bits each.
 #[inline(always)]
 fn pack(weight: f32, slope: f32) -> u32 {
-    let weight = if weight * WEIGHT_ONE < MAX_16_BITS {
-        weight * WEIGHT_ONE
-    } else {
-        MAX_16_BITS
-    };
+    let at_most = |x: f32| if x < MAX_8_BITS { x } else { MAX_8_BITS };
+    let weight = at_most(weight * WEIGHT_ONE);
     let weight = if weight > 1.0 { weight } else { 1.0 };
-    let slope = if slope * SLOPE_ONE < MAX_16_BITS {
-        slope * SLOPE_ONE
-    } else {
-        MAX_16_BITS
-    };
-    (round_bits(slope) << 16) | round_bits(weight)
+    (round_bits(at_most(slope * SLOPE_ONE)) << 8) | round_bits(weight)
 }
 
 struct HalfRow<'a> {
@@ -156,6 +241,7 @@ struct FullRow<'a> {
     /// Of the half image.
     pitch: f32,
     noise: &'a DepthNoise,
+    step: DepthStep,
 }
 
 impl WithSimd for FullRow<'_> {
@@ -180,7 +266,7 @@ impl WithSimd for FullRow<'_> {
                 let rim = pack(RIM_WEIGHT * ratio * ratio, 1.0);
                 let on_surface = (half != 0) & ((z - half_depth).abs() < reach);
                 let packed = if on_surface { half } else { rim };
-                *out = join(z, packed);
+                *out = self.step.join(z, packed);
             }
         }
     }

@@ -1,5 +1,6 @@
 //! The levels of one frame: depth, rays and normals in planes of their own, kept from frame to frame.
 
+use super::lanes::{LANES, Lane};
 use super::lens::Lens;
 use crate::geometry::{CameraModel, RayGrid};
 
@@ -80,6 +81,18 @@ impl Level {
         let z = self.depth[pixel];
         [self.rays.x[pixel] * z, self.rays.y[pixel] * z, z]
     }
+}
+
+/// Values of `LANES` pixels of a plane from `first` on; 0 beyond its end.
+#[inline(always)]
+pub fn lane(plane: &[f32], first: usize) -> Lane {
+    let mut lane = [0.0; LANES];
+    let cells = &plane[first..plane.len().min(first + LANES)];
+    match cells.first_chunk::<LANES>() {
+        Some(cells) => lane = *cells,
+        None => lane[..cells.len()].copy_from_slice(cells),
+    }
+    lane
 }
 
 /// The levels of one frame.

@@ -1,15 +1,19 @@
 //! The model's surface as a camera sees it: points and normals in the world frame, by rays through the volume.
 //!
 //! Rays start at the depth that was just fused, which lies within its noise of the model's surface, and mostly find the
-//! surface in two or three steps. Where that fails they march through the band, and pixels without depth of their own look
-//! where the nearest depth beside them lies; where there is none, the model is not looked for.
+//! surface in two or three steps; where that fails they march through the band. Pixels without depth of their own start at
+//! the nearest depth beside them; where there is none, the model is not looked for.
 
+use super::icp::{Rotation, rows, turn};
+use super::lanes::{LANES, Lane};
 use super::preprocess::DepthRange;
-use super::pyramid::Level;
+use super::pyramid::{Level, lane};
+use super::sampling::Samples;
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
 use depth_camera::Image;
 use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// The model seen from a pose.
@@ -36,7 +40,10 @@ impl ModelMap {
 type Hit = (Vector3<f32>, Vector3<f32>);
 
 /// Casts a ray for each pixel of a level that was fused from the same pose.
+// A symbol of its own, by which tests/bench/instructions.sh counts.
+#[inline(never)]
 pub fn raycast(
+    arch: Arch,
     volume: &TsdfVolume,
     level: &Level,
     world_from_camera: &Pose,
@@ -44,15 +51,15 @@ pub fn raycast(
     map: &mut ModelMap,
 ) {
     let caster = Caster::new(volume, world_from_camera, range);
-    for_each_ray(
-        level,
-        world_from_camera,
-        map,
-        |u, v, direction| match level.depth[v * level.rays.width + u] {
-            depth if depth > 0.0 => caster.near_depth(direction, depth),
-            _ => depth_near(level, u, v).and_then(|depth| caster.march_near(direction, depth)),
-        },
-    );
+    for_each_row(level, map, |v, points, normals| {
+        arch.dispatch(CastRow {
+            caster: &caster,
+            level,
+            v,
+            points,
+            normals,
+        });
+    });
 }
 
 /// Casts a ray for each pixel of a level, whatever its depth, through the whole range. Far slower than [`raycast`].
@@ -64,61 +71,134 @@ pub fn raycast_anywhere(
 ) -> ModelMap {
     let mut map = ModelMap::of_level(level);
     let caster = Caster::new(volume, world_from_camera, range);
-    for_each_ray(level, world_from_camera, &mut map, |_, _, direction| {
-        caster.march(direction, range)
+    for_each_row(level, &mut map, |v, points, normals| {
+        for (u, (point, normal)) in points.iter_mut().zip(normals).enumerate() {
+            let direction = caster.direction(level, v * level.rays.width + u);
+            let hit = direction.and_then(|direction| caster.march(&direction, range));
+            (*point, *normal) = hit.unwrap_or_default();
+        }
     });
     map
 }
 
-/// Fills a map by `cast(u, v, direction)`, the direction in the world frame with unit depth; nothing is seen where the lens
-/// has no ray.
-fn for_each_ray(
+/// Calls `cast(v, points, normals)` for every row of a map.
+fn for_each_row(
     level: &Level,
-    world_from_camera: &Pose,
     map: &mut ModelMap,
-    cast: impl Fn(usize, usize, &Vector3<f32>) -> Option<Hit> + Sync,
+    cast: impl Fn(usize, &mut [Vector3<f32>], &mut [Vector3<f32>]) + Sync,
 ) {
     let width = level.rays.width;
-    let rotation = world_from_camera.rotation.to_rotation_matrix();
-    let rotation = rotation.matrix().cast::<f32>();
     map.points
         .data_mut()
         .par_chunks_mut(width)
         .zip(map.normals.data_mut().par_chunks_mut(width))
         .enumerate()
-        .for_each(|(v, (points, normals))| {
-            for u in 0..width {
-                let pixel = v * width + u;
-                let ray = Vector3::new(level.rays.x[pixel], level.rays.y[pixel], 1.0);
-                let hit = match ray.x.is_nan() {
-                    true => None,
-                    false => cast(u, v, &(rotation * ray)),
-                };
-                (points[u], normals[u]) = hit.unwrap_or_default();
-            }
-        });
+        .for_each(|(v, (points, normals))| cast(v, points, normals));
 }
 
-/// The depth of the nearest pixel that has one, up to four pixels away; the first in reading order of those equally near.
-fn depth_near(level: &Level, u: usize, v: usize) -> Option<f32> {
-    const RADIUS: isize = 4;
-    let (width, height) = (level.rays.width as isize, level.rays.height as isize);
-    let (u, v) = (u as isize, v as isize);
-    let mut nearest = (isize::MAX, None);
-    for y in (v - RADIUS).max(0)..(v + RADIUS + 1).min(height) {
-        for x in (u - RADIUS).max(0)..(u + RADIUS + 1).min(width) {
-            let depth = level.depth[(y * width + x) as usize];
-            let squared = (x - u) * (x - u) + (y - v) * (y - v);
-            if depth > 0.0 && squared < nearest.0 {
-                nearest = (squared, Some(depth));
+struct CastRow<'a> {
+    caster: &'a Caster<'a>,
+    level: &'a Level,
+    v: usize,
+    points: &'a mut [Vector3<f32>],
+    normals: &'a mut [Vector3<f32>],
+}
+
+impl WithSimd for CastRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let CastRow {
+            caster, level, v, ..
+        } = self;
+        let parts = self.points.chunks_mut(LANES);
+        for (part, (points, normals)) in parts.zip(self.normals.chunks_mut(LANES)).enumerate() {
+            let (first_u, first) = (part * LANES, v * level.rays.width + part * LANES);
+            let depth = depth_near(level, first_u, v);
+            let found = caster.converge(level, first, &depth);
+            for (i, (point, normal)) in points.iter_mut().zip(normals).enumerate() {
+                if found.hit[i] {
+                    *point = Vector3::from(found.point.map(|lane| lane[i]));
+                    *normal = Vector3::from(found.normal.map(|lane| lane[i]));
+                } else {
+                    (*point, *normal) = caster
+                        .search(level, first + i, depth[i])
+                        .unwrap_or_default();
+                }
             }
         }
     }
-    nearest.1
+}
+
+/// Hits of many rays.
+struct Hits {
+    point: [Lane; 3],
+    normal: [Lane; 3],
+    hit: [bool; LANES],
+}
+
+/// How far from a pixel without depth another one's is taken, pixels.
+const RADIUS: usize = 4;
+const WINDOW: usize = 2 * RADIUS + 1;
+
+/// The pixels around one, row and column from the window's corner: nearest first, in reading order those equally near.
+const NEAREST_FIRST: [(usize, usize); WINDOW * WINDOW] = nearest_first();
+
+const fn nearest_first() -> [(usize, usize); WINDOW * WINDOW] {
+    let mut places = [(0, 0); WINDOW * WINDOW];
+    let (mut n, mut squared) = (0, 0);
+    while n < WINDOW * WINDOW {
+        let mut place = 0;
+        while place < WINDOW * WINDOW {
+            let (row, column) = (place / WINDOW, place % WINDOW);
+            if row.abs_diff(RADIUS).pow(2) + column.abs_diff(RADIUS).pow(2) == squared {
+                places[n] = (row, column);
+                n += 1;
+            }
+            place += 1;
+        }
+        squared += 1;
+    }
+    places
+}
+
+/// Depth of `LANES` pixels of row `v` from column `u` on, or where one has none that of the nearest pixel that has one; 0 if
+/// there is none within [`RADIUS`].
+#[inline(always)]
+fn depth_near(level: &Level, u: usize, v: usize) -> Lane {
+    let (width, height) = (level.rays.width, level.rays.height);
+    let mut depth = lane(&level.depth, v * width + u);
+    if depth.iter().all(|&z| z > 0.0) {
+        return depth;
+    }
+    // The rows around, with a margin on both sides; 0 beyond the image.
+    let mut window = [[0.0f32; LANES + 2 * RADIUS]; WINDOW];
+    let columns = u.saturating_sub(RADIUS)..(u + LANES + RADIUS).min(width);
+    let margin = RADIUS - (u - columns.start);
+    for (row, window) in window.iter_mut().enumerate() {
+        if let Some(y) = (v + row).checked_sub(RADIUS).filter(|&y| y < height) {
+            let cells = &level.depth[y * width..][columns.clone()];
+            window[margin..margin + cells.len()].copy_from_slice(cells);
+        }
+    }
+    for (row, column) in NEAREST_FIRST {
+        let mut missing = false;
+        for i in 0..LANES {
+            let found = window[row][column + i];
+            depth[i] = if depth[i] > 0.0 { depth[i] } else { found };
+            missing |= depth[i] <= 0.0;
+        }
+        if !missing {
+            break;
+        }
+    }
+    depth
 }
 
 struct Caster<'a> {
     volume: &'a TsdfVolume,
+    rotation: Rotation,
     origin: Vector3<f32>,
     range: DepthRange,
 }
@@ -127,42 +207,90 @@ impl<'a> Caster<'a> {
     fn new(volume: &'a TsdfVolume, world_from_camera: &Pose, range: DepthRange) -> Self {
         Caster {
             volume,
+            rotation: rows(world_from_camera.rotation.to_rotation_matrix().matrix()),
             origin: world_from_camera.translation.vector.cast::<f32>(),
             range,
         }
     }
 
-    /// The surface near a measured depth.
-    fn near_depth(&self, direction: &Vector3<f32>, depth: f32) -> Option<Hit> {
-        self.converge(direction, depth)
-            .or_else(|| self.march_near(direction, depth))
+    /// The ray of a pixel in the world frame, with unit depth; `None` where the lens has none.
+    #[inline(always)]
+    fn direction(&self, level: &Level, pixel: usize) -> Option<Vector3<f32>> {
+        let (x, y) = (level.rays.x[pixel], level.rays.y[pixel]);
+        let direction = turn(&self.rotation, &[x, y, 1.0], &[0.0; 3]);
+        (!x.is_nan()).then_some(Vector3::from(direction))
     }
 
-    /// Newton's method along the ray, for starts well inside the band.
-    fn converge(&self, direction: &Vector3<f32>, depth: f32) -> Option<Hit> {
+    /// Newton's method along the rays of `LANES` pixels from `first` on, from depths well inside the band; 0 is none.
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
+    #[inline(always)]
+    fn converge(&self, level: &Level, first: usize, depth: &Lane) -> Hits {
         /// The last step is no longer than this: over half a voxel the distance is as good as linear.
         const LAST_STEP_VOXELS: f32 = 0.5;
         let last_step_m = LAST_STEP_VOXELS * self.volume.voxel_size_m();
-        let reach = self.volume.truncation_m() / direction.norm();
-        let mut z = depth;
+        let truncation_m = self.volume.truncation_m();
+        let (x, y) = (lane(&level.rays.x, first), lane(&level.rays.y, first));
+        let (mut direction, mut reach) = ([[0.0; LANES]; 3], [0.0; LANES]);
+        let (mut z, mut active) = (*depth, [false; LANES]);
+        for i in 0..LANES {
+            let ray = turn(&self.rotation, &[x[i], y[i], 1.0], &[0.0; 3]);
+            for axis in 0..3 {
+                direction[axis][i] = ray[axis];
+            }
+            reach[i] = truncation_m / (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]).sqrt();
+            active[i] = (depth[i] > 0.0) & !x[i].is_nan();
+        }
+        let mut hits = Hits {
+            point: [[0.0; LANES]; 3],
+            normal: [[0.0; LANES]; 3],
+            hit: [false; LANES],
+        };
         for _ in 0..4 {
-            let point = self.origin + direction * z;
-            let (distance, gradient) = self.volume.sample_with_gradient(&point)?;
-            let slope = gradient.dot(direction);
-            // Seen from behind, or grazing: such rays march.
-            if slope > -0.1 {
-                return None;
+            let mut points = [[0.0; LANES]; 3];
+            for axis in 0..3 {
+                for i in 0..LANES {
+                    points[axis][i] = self.origin[axis] + direction[axis][i] * z[i];
+                }
             }
-            let step = -distance / slope;
-            z += step;
-            if (z - depth).abs() > reach {
-                return None;
+            let Samples { distance, gradient } = self.volume.sample_lanes(&points, &active);
+            for i in 0..LANES {
+                let (mut slope, mut squared) = (0.0, 0.0);
+                for axis in 0..3 {
+                    slope += gradient[axis][i] * direction[axis][i];
+                    squared += gradient[axis][i] * gradient[axis][i];
+                }
+                let step = -distance[i] / slope;
+                z[i] += step;
+                // Unseen, seen from behind, or grazing: such rays march.
+                let goes_on = active[i] & (slope <= -0.1) & ((z[i] - depth[i]).abs() <= reach[i]);
+                let arrives = goes_on & (step.abs() < last_step_m);
+                let length = squared.sqrt();
+                let hit = arrives & (length > 0.1);
+                for axis in 0..3 {
+                    let point = self.origin[axis] + direction[axis][i] * z[i];
+                    let normal = gradient[axis][i] / length;
+                    hits.point[axis][i] = if hit { point } else { hits.point[axis][i] };
+                    hits.normal[axis][i] = if hit { normal } else { hits.normal[axis][i] };
+                }
+                hits.hit[i] |= hit;
+                active[i] = goes_on & !arrives;
             }
-            if step.abs() < last_step_m {
-                return Some((self.origin + direction * z, gradient.try_normalize(0.1)?));
+            if active == [false; LANES] {
+                break;
             }
         }
-        None
+        hits
+    }
+
+    /// The surface near a depth (m) along a pixel's ray; 0 is no depth.
+    fn search(&self, level: &Level, pixel: usize, depth: f32) -> Option<Hit> {
+        if depth <= 0.0 {
+            return None;
+        }
+        self.march_near(&self.direction(level, pixel)?, depth)
     }
 
     /// The first surface from two truncation distances before a depth to as much behind it.
@@ -184,7 +312,10 @@ impl<'a> Caster<'a> {
             let point = self.origin + direction * z;
             let Some((distance, _)) = self.volume.sample_with_gradient(&point) else {
                 last = None;
-                let is_empty = self.volume.find(self.volume.block_of(&point)).is_none();
+                let is_empty = self
+                    .volume
+                    .find(self.volume.block_of(point.into()))
+                    .is_none();
                 // Half a block's side at once where there is no block.
                 z += if is_empty {
                     4.0 * voxel_step

@@ -1,14 +1,11 @@
 //! A sparse truncated signed distance volume of 8³-voxel blocks.
 //!
-//! Voxel (i, j, k) sits at (i, j, k)·voxel size in the world frame. Each block keeps its distances and its weights in planes
-//! of their own. Blocks are found through a two-level table: one load for the page, one for the block.
+//! Voxel (i, j, k) sits at (i, j, k)·voxel size in the world frame. Blocks are found through a two-level table: one load for
+//! the page, one for the block.
 
-use nalgebra::Vector3;
+use super::block::{BLOCK_SIDE, Block, BlockCoord};
+use super::lanes::floor;
 
-/// Voxels along a block's side.
-pub const BLOCK_SIDE: i32 = 8;
-/// Voxels of a block.
-pub const BLOCK_VOXELS: usize = 512;
 /// Blocks along a page's side.
 const PAGE_SIDE: i32 = 16;
 /// Blocks of a page.
@@ -18,31 +15,6 @@ type Page = [u32; PAGE_CELLS];
 const TOP_SIDE: i32 = 64;
 /// Blocks from the origin to the volume's border on each axis.
 const HALF_SIDE: i32 = PAGE_SIDE * TOP_SIDE / 2;
-/// Distances are kept in steps of the truncation distance divided by this.
-pub const TSDF_ONE: f32 = 32_767.0;
-/// The distance of a voxel that was never seen: one step beyond the least distance.
-pub const UNSEEN: i16 = i16::MIN;
-/// Weights are kept in steps of one 256th.
-pub const WEIGHT_ONE: f32 = 256.0;
-
-/// Voxel values of one block; voxel (x, y, z) of the block has index x + 8 y + 64 z.
-#[derive(Clone)]
-pub struct Block {
-    /// Signed distance in units of truncation / 32767, positive in front of the surface; [`UNSEEN`] where nothing was seen.
-    pub tsdf: [i16; BLOCK_VOXELS],
-    /// Weight in units of 1/256; 0 where nothing was seen.
-    pub weight: [u16; BLOCK_VOXELS],
-}
-
-impl Block {
-    const EMPTY: Block = Block {
-        tsdf: [UNSEEN; BLOCK_VOXELS],
-        weight: [0; BLOCK_VOXELS],
-    };
-}
-
-/// Block coordinates: voxel index divided by 8, rounded down.
-pub type BlockCoord = [i32; 3];
 
 /// The volume.
 #[derive(Clone)]
@@ -102,6 +74,12 @@ impl TsdfVolume {
         self.truncation_m
     }
 
+    /// Voxels a metre.
+    #[inline(always)]
+    pub fn inv_voxel(&self) -> f32 {
+        self.inv_voxel
+    }
+
     /// Coordinates of all blocks, in the order in which they were allocated.
     pub fn coords(&self) -> &[BlockCoord] {
         &self.coords
@@ -125,9 +103,10 @@ impl TsdfVolume {
             + self.top.len() * size_of::<u32>()
     }
 
-    /// The block that holds a point.
-    pub fn block_of(&self, point: &Vector3<f32>) -> BlockCoord {
-        [point.x, point.y, point.z].map(|x| floor(x * self.inv_block))
+    /// The block that holds a point (m).
+    #[inline(always)]
+    pub fn block_of(&self, point: [f32; 3]) -> BlockCoord {
+        point.map(|x| floor(x * self.inv_block))
     }
 
     /// Whether block coordinates lie within the volume.
@@ -199,89 +178,6 @@ impl TsdfVolume {
         }
         Ok(())
     }
-
-    /// Signed distance (m) and its gradient (m per m) by trilinear interpolation; `None` unless all eight voxels were seen.
-    #[inline]
-    pub fn sample_with_gradient(&self, point: &Vector3<f32>) -> Option<(f32, Vector3<f32>)> {
-        let (voxel, fraction) = self.place([point.x, point.y, point.z]);
-        let corners = self.corners(voxel)?;
-        let (distance, gradient) = self.interpolate(&corners, fraction);
-        Some((distance, Vector3::from(gradient)))
-    }
-
-    /// The voxel at the low corner of a point's cell, and the point's place in the cell.
-    #[inline(always)]
-    pub fn place(&self, point: [f32; 3]) -> ([i32; 3], [f32; 3]) {
-        let grid = point.map(|x| x * self.inv_voxel);
-        let voxel = grid.map(floor);
-        let fraction = [0, 1, 2].map(|axis| grid[axis] - voxel[axis] as f32);
-        (voxel, fraction)
-    }
-
-    /// Distance (m) and gradient (m per m) between the eight corners of a cell, x fastest, in raw steps.
-    #[inline(always)]
-    pub fn interpolate(&self, corners: &[f32; 8], [fx, fy, fz]: [f32; 3]) -> (f32, [f32; 3]) {
-        let [c000, c100, c010, c110, c001, c101, c011, c111] = *corners;
-        let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
-        let (x00, x10) = (lerp(c000, c100, fx), lerp(c010, c110, fx));
-        let (x01, x11) = (lerp(c001, c101, fx), lerp(c011, c111, fx));
-        let (y0, y1) = (lerp(x00, x10, fy), lerp(x01, x11, fy));
-        let dx = lerp(
-            lerp(c100 - c000, c110 - c010, fy),
-            lerp(c101 - c001, c111 - c011, fy),
-            fz,
-        );
-        let dy = lerp(x10 - x00, x11 - x01, fz);
-        let scale = self.truncation_m / TSDF_ONE;
-        let gradient = [dx, dy, y1 - y0].map(|d| d * (scale * self.inv_voxel));
-        (lerp(y0, y1, fz) * scale, gradient)
-    }
-
-    /// The eight voxels from `voxel` on, x fastest, in raw steps; `None` unless all were seen.
-    #[inline(always)]
-    pub fn corners(&self, voxel: [i32; 3]) -> Option<[f32; 8]> {
-        let local = voxel.map(|i| i & 7);
-        if local.contains(&7) {
-            return self.corners_of_several(voxel);
-        }
-        let tsdf = &self.blocks[self.find(voxel.map(|i| i >> 3))?].tsdf;
-        // Without a carry past the last voxel the eight indices stay within the block.
-        let first = voxel_index(local) % (BLOCK_VOXELS - 73);
-        let at = |offset: usize| tsdf[first + offset];
-        seen([at(0), at(1), at(8), at(9), at(64), at(65), at(72), at(73)])
-    }
-}
-
-impl TsdfVolume {
-    /// The eight voxels from `voxel` on where they lie in two, four or eight blocks; each block is looked up once.
-    fn corners_of_several(&self, voxel: [i32; 3]) -> Option<[f32; 8]> {
-        let [x, y, z] = voxel.map(|i| (i & 7) as usize);
-        // Bit a is set where the neighbour along axis a lies in another block.
-        let across = usize::from(x == 7) | usize::from(y == 7) << 1 | usize::from(z == 7) << 2;
-        let (xs, ys, zs) = ([x, (x + 1) & 7], [y, (y + 1) & 7], [z, (z + 1) & 7]);
-        let (mut blocks, mut corners) = ([0; 8], [0; 8]);
-        for side in 0..8 {
-            let step = [side & 1, side >> 1 & 1, side >> 2];
-            blocks[side] = match side & across {
-                known if known != side => blocks[known],
-                _ => self.find([0, 1, 2].map(|axis| (voxel[axis] >> 3) + step[axis] as i32))?,
-            };
-            let index = xs[step[0]] + 8 * ys[step[1]] + 64 * zs[step[2]];
-            corners[side] = self.blocks[blocks[side]].tsdf[index % BLOCK_VOXELS];
-        }
-        seen(corners)
-    }
-}
-
-/// Distances in raw steps; `None` unless all voxels were seen.
-#[inline(always)]
-fn seen(corners: [i16; 8]) -> Option<[f32; 8]> {
-    let (mut values, mut all_seen) = ([0.0; 8], true);
-    for (value, tsdf) in values.iter_mut().zip(corners) {
-        all_seen &= tsdf != UNSEEN;
-        *value = f32::from(tsdf);
-    }
-    all_seen.then_some(values)
 }
 
 /// By how many places to grow a list of `len`, of which no more than `most` may be had.
@@ -290,24 +186,6 @@ fn growth(len: usize, least: usize, most: usize) -> Result<usize, Refusal> {
         0 => Err(Refusal::OverBudget),
         growth => Ok(growth),
     }
-}
-
-/// 1.5 · 2²³: adding it to a number within ±2²² leaves the number, rounded, in the low bits.
-const ROUND: f32 = 12_582_912.0;
-
-/// Largest integer not above x for x within ±2²²; for any other, one that lies beyond every volume. A cast would do the same
-/// and saturate, which compilers turn into scalar code.
-#[inline(always)]
-fn floor(x: f32) -> i32 {
-    let shifted = x + ROUND;
-    let rounded = (shifted.to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32);
-    rounded - i32::from(shifted - ROUND > x)
-}
-
-/// Index of a voxel within its block.
-#[inline]
-pub fn voxel_index([x, y, z]: [i32; 3]) -> usize {
-    (x + BLOCK_SIDE * (y + BLOCK_SIDE * z)) as usize
 }
 
 /// Cell in the top table and entry in its page.
@@ -322,71 +200,8 @@ fn table_cells(coord: BlockCoord) -> (usize, usize) {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-
-    /// A volume of 2 mm voxels within 48 mm of the origin, all seen often, that hold a closed-form distance (m).
-    pub fn volume_of(truncation_m: f32, distance_m: impl Fn(f64, f64, f64) -> f64) -> TsdfVolume {
-        let mut volume = TsdfVolume::new(0.002, truncation_m, usize::MAX);
-        for bx in -3..3 {
-            for by in -3..3 {
-                for bz in -3..3 {
-                    volume.allocate([bx, by, bz]).expect("within the volume");
-                }
-            }
-        }
-        let (coords, blocks) = volume.blocks_mut();
-        for (coord, block) in coords.iter().zip(blocks) {
-            for index in 0..BLOCK_VOXELS {
-                let at = |axis: usize, local: usize| {
-                    (coord[axis] * BLOCK_SIDE) as f64 * 0.002 + local as f64 * 0.002
-                };
-                let d = distance_m(at(0, index & 7), at(1, (index >> 3) & 7), at(2, index >> 6));
-                let share = (d / truncation_m as f64).clamp(-1.0, 1.0);
-                block.tsdf[index] = (share * TSDF_ONE as f64) as i16;
-                block.weight[index] = 1000;
-            }
-        }
-        volume
-    }
-
-    #[test]
-    fn trilinear_distance_and_gradient_of_a_sphere() {
-        let volume = volume_of(0.02, |x, y, z| (x * x + y * y + z * z).sqrt() - 0.03);
-        for direction in [[1.0, 0.2, -0.4], [-0.3, 0.9, 0.1], [0.1, -0.5, -0.8]] {
-            let direction = Vector3::from(direction)
-                .try_normalize(0.0)
-                .expect("not zero");
-            let p = direction * 0.031f32;
-            let (distance, gradient) = volume.sample_with_gradient(&p).expect("inside");
-            // Second-order error of trilinear interpolation: h²/4R = 0.03 mm.
-            assert!((distance - 0.001).abs() < 5e-5);
-            assert!((gradient - direction).norm() < 0.05);
-        }
-    }
-
-    #[test]
-    fn floor_is_exact_where_there_are_voxels_and_out_of_bounds_elsewhere() {
-        for step in -40_000..40_000 {
-            let x = step as f32 * 0.137;
-            assert_eq!(floor(x), x.floor() as i32, "{x}");
-        }
-        for x in [-1.0, -0.0, 0.0, 0.5, -0.5, 1e-9, -1e-9, 4_000_000.5] {
-            assert_eq!(floor(x), x.floor() as i32, "{x}");
-        }
-        for x in [
-            5e6,
-            -5e6,
-            -12_582_912.0,
-            1e30,
-            -1e30,
-            f32::INFINITY,
-            f32::NEG_INFINITY,
-            f32::NAN,
-        ] {
-            assert!(floor(x).unsigned_abs() > 1 << 22, "{x}");
-        }
-    }
 
     #[test]
     fn blocks_are_found_where_they_were_put_and_nowhere_else() {
