@@ -44,6 +44,7 @@ mod pose_graph;
 pub(crate) mod bench_tests;
 mod block_masks;
 mod cube_cases;
+mod live_mesh;
 mod marching_cubes;
 #[cfg(test)]
 mod tests;
@@ -51,6 +52,7 @@ mod tests;
 pub use icp::IcpParams;
 #[cfg(test)]
 pub(crate) use lens::arch_levels;
+pub use live_mesh::LiveMesh;
 pub use loop_closing::{LoopClosingParams, LoopClosure};
 pub use noise::DepthNoise;
 pub use outcome::{Fit, LossReason, TrackingOutcome};
@@ -84,6 +86,8 @@ pub struct Fusion {
     eye: Eye,
     band: Band,
     volume: TsdfVolume,
+    /// Rises when the volume is replaced by another.
+    volume_number: usize,
     model: Option<ModelMap>,
     track: Track,
     n_fused: usize,
@@ -105,6 +109,7 @@ impl Fusion {
             eye: Eye::new(&camera, noise, params.depth_range()),
             band: Band::default(),
             volume: params.empty_volume(),
+            volume_number: 0,
             model: None,
             track: Track::at(Pose::identity(), 0.0),
             n_fused: 0,
@@ -175,6 +180,7 @@ impl Fusion {
         let frames = self.keyframes.frames();
         let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume)?;
         (self.volume, self.band) = (closed.volume, closed.band);
+        self.volume_number += 1;
         Some(closed.closure)
     }
 
