@@ -30,6 +30,7 @@ mod volume;
 
 mod raycast;
 
+mod polish;
 mod relocalise;
 
 mod fragment_alignment;
@@ -57,6 +58,7 @@ pub use loop_closing::{LoopClosingParams, LoopClosure};
 pub use noise::DepthNoise;
 pub use outcome::{Fit, LossReason, TrackingOutcome};
 pub use params::FusionParams;
+pub use polish::PolishParams;
 pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
 pub use steps::{FusionStep, OnStep};
@@ -98,6 +100,8 @@ pub struct Fusion {
     /// Where the frame before may have been taken, if it was lost.
     hypothesis: Option<(Hypothesis, Track)>,
     n_relocalised: usize,
+    /// Frames whose given pose was not polished.
+    n_unpolished: usize,
     /// Whether the frame before was not tracked.
     is_interrupted: bool,
 }
@@ -118,6 +122,7 @@ impl Fusion {
             places: Places::default(),
             hypothesis: None,
             n_relocalised: 0,
+            n_unpolished: 0,
             is_interrupted: false,
             params,
         }

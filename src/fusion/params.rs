@@ -2,6 +2,7 @@
 
 use super::icp::IcpParams;
 use super::loop_closing::LoopClosingParams;
+use super::polish::PolishParams;
 use super::preprocess::DepthRange;
 use super::volume::TsdfVolume;
 use serde::{Deserialize, Serialize};
@@ -37,6 +38,8 @@ pub struct FusionParams {
     pub max_rotation_rad_per_s: f64,
     /// A faster move is not believed, metres per second.
     pub max_speed_m_per_s: f64,
+    /// Polishing of given poses.
+    pub polish: PolishParams,
     /// Closing loops at the end of the scan.
     pub loop_closing: LoopClosingParams,
 }
@@ -57,6 +60,7 @@ impl Default for FusionParams {
             min_conditioning: 1e-4,
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
+            polish: PolishParams::default(),
             loop_closing: LoopClosingParams::default(),
         }
     }
@@ -121,6 +125,7 @@ impl FusionParams {
         let [coarse, fine] = icp.sdf_iterations.map(|n| n as f64);
         within("icp.sdf_iterations", coarse, 0.0, 100.0)?;
         within("icp.sdf_iterations", fine, 1.0, 100.0)?;
+        self.polish.validate(within)?;
         self.loop_closing.validate(within)
     }
 

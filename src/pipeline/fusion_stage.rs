@@ -27,7 +27,7 @@ pub struct FusionSetup {
     pub fusion: FusionParams,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
-    /// Poses to fuse at instead of tracking.
+    /// Poses to fuse at, or to polish, instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Where tracking computes.
     pub pool: ThreadPool,
@@ -57,6 +57,8 @@ pub struct FusionSummary {
     pub n_lost: u64,
     /// How often a lost camera was found in another place than it was lost at.
     pub n_relocalised: u64,
+    /// Frames fused at their given pose although it was to be polished.
+    pub n_unpolished: u64,
     /// Frames without depth.
     pub n_without_depth: u64,
     /// When tracking was lost.
@@ -95,6 +97,8 @@ struct FusionStage {
     fusion: Fusion,
     selector: Option<SnapshotSelector>,
     poses: Option<GivenPoses>,
+    /// Whether given poses are polished.
+    polish: bool,
     pool: ThreadPool,
     status: StatusSlot,
     tracked: Sender<Tracked>,
@@ -112,6 +116,7 @@ impl FusionStage {
         let camera = CameraModel::new(setup.info.intrinsics);
         let noise = DepthNoise::of_sensor(setup.info.sensor);
         FusionStage {
+            polish: setup.fusion.polish.enabled,
             fusion: setup
                 .pool
                 .install(|| Fusion::new(camera, noise, setup.fusion)),
@@ -163,10 +168,11 @@ impl FusionStage {
             Some(poses) => Some(poses.at(time_secs)?),
             None => None,
         };
-        let (fusion, pool) = (&mut self.fusion, &self.pool);
+        let (fusion, pool, polish) = (&mut self.fusion, &self.pool, self.polish);
         let outcome = self.fusion_clock.time(|| {
             pool.install(|| match given {
-                Some(world_from_camera) => fusion.fuse_at(depth, time_secs, &world_from_camera),
+                Some(pose) if polish => fusion.fuse_near(depth, time_secs, &pose),
+                Some(pose) => fusion.fuse_at(depth, time_secs, &pose),
                 None => fusion.fuse(depth, time_secs),
             })
         });
@@ -271,6 +277,7 @@ impl FusionStage {
         let mut closing_clock = StageClock::new("loop closing");
         let mut meshing_clock = StageClock::new("mesh extraction");
         self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
+        self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
         if self.summary.n_fused > 0 {
             self.status.update(|status| status.phase = Phase::Meshing);
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);

@@ -38,7 +38,7 @@ pub use status::{Phase, Status};
 use crate::{
     capture::{CaptureParams, IrOffset, Recorder},
     fusion::FusionParams,
-    refine::{RefineParams, Roi},
+    refine::{ObjectParams, RefineParams, Roi},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
@@ -68,6 +68,8 @@ pub struct PipelineParams {
     pub fusion: FusionParams,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
+    /// Which part of the scan becomes meshes.
+    pub object: ObjectParams,
     /// Refinement; `None` to fuse only.
     pub refine: Option<RefineParams>,
     /// Response, flat field and noise of the camera's IR.
@@ -76,7 +78,7 @@ pub struct PipelineParams {
     pub calibration_source: String,
     /// The object's box in the world frame; without one the object is found.
     pub roi: Option<Roi>,
-    /// Poses to fuse at instead of tracking.
+    /// Poses to fuse at, or to polish, instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Threads of each of the two pools.
     pub n_threads: NonZeroUsize,
@@ -246,6 +248,7 @@ fn refine_setup(
 ) -> Result<RefineSetup, ThreadPoolBuildError> {
     Ok(RefineSetup {
         info: info.clone(),
+        object: params.object.clone(),
         refine: params.refine.clone(),
         calibration: params.calibration.clone(),
         roi: params.roi,

@@ -9,7 +9,7 @@ use relief::{
     fusion::FusionParams,
     geometry::motion_between,
     pipeline::{Ending, Outcome, OutputFolder, Pipeline, PipelineParams, WhenFull},
-    refine::RefineParams,
+    refine::{ObjectParams, RefineParams},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
@@ -27,6 +27,7 @@ fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
             ..FusionParams::default()
         },
         snapshot: SnapshotParams::default(),
+        object: ObjectParams::default(),
         refine: Some(RefineParams {
             edge_length_m: 0.003,
             n_rounds: 2,
