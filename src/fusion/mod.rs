@@ -17,8 +17,11 @@ mod normals;
 mod preprocess;
 mod pyramid;
 
+mod align;
+mod degeneracy;
 mod gates;
 mod icp;
+mod infrared;
 mod normal_equations;
 mod sdf_alignment;
 mod track;
@@ -51,6 +54,7 @@ mod marching_cubes;
 mod tests;
 
 pub use icp::IcpParams;
+pub use infrared::InfraredOptics;
 #[cfg(test)]
 pub(crate) use lens::arch_levels;
 pub use live_mesh::LiveMesh;
@@ -64,9 +68,12 @@ pub use raycast::ModelMap;
 pub use steps::{FusionStep, OnStep};
 
 use crate::geometry::{CameraModel, Pose, TriMesh, motion_between};
+use align::align;
 use band::Band;
+use degeneracy::HARDLY_HELD_SHARE;
 use depth_camera::Image;
 use eye::Eye;
+use infrared::Infrared;
 use keyframes::Keyframes;
 use relocalise::{Hypothesis, Places};
 use track::Track;
@@ -86,6 +93,8 @@ const MAX_SETTLING_M: f64 = 0.01;
 pub struct Fusion {
     params: FusionParams,
     eye: Eye,
+    /// `None` without infrared images that show a scene lit by the sensor.
+    infrared: Option<Infrared>,
     band: Band,
     volume: TsdfVolume,
     /// Rises when the volume is replaced by another.
@@ -111,6 +120,7 @@ impl Fusion {
     pub fn new(camera: CameraModel, noise: DepthNoise, params: FusionParams) -> Self {
         Fusion {
             eye: Eye::new(&camera, noise, params.depth_range()),
+            infrared: None,
             band: Band::default(),
             volume: params.empty_volume(),
             volume_number: 0,
@@ -128,6 +138,19 @@ impl Fusion {
         }
     }
 
+    /// The same with infrared images, which hold the camera where the geometry lets it slide: see [`Self::see`].
+    pub fn with_infrared(mut self, camera: CameraModel, optics: InfraredOptics) -> Self {
+        self.infrared = Some(Infrared::new(camera, optics));
+        self
+    }
+
+    /// Takes the infrared image (counts) of the depth image that is tracked next.
+    pub fn see(&mut self, counts: &Image<u16>) {
+        if let Some(infrared) = &mut self.infrared {
+            infrared.take(counts);
+        }
+    }
+
     /// Tracks and fuses one depth image (metres, 0 is none) taken at `time_secs` of the device's clock.
     pub fn fuse(&mut self, depth: &Image<f32>, time_secs: f64) -> TrackingOutcome {
         self.fuse_observed(depth, time_secs, &mut |_| {})
@@ -135,6 +158,19 @@ impl Fusion {
 
     /// Like [`Self::fuse`], telling of each step when it ends.
     pub fn fuse_observed(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        on_step: &mut OnStep,
+    ) -> TrackingOutcome {
+        let outcome = self.track_and_fuse(depth, time_secs, on_step);
+        if let Some(infrared) = &mut self.infrared {
+            infrared.forget();
+        }
+        outcome
+    }
+
+    fn track_and_fuse(
         &mut self,
         depth: &Image<f32>,
         time_secs: f64,
@@ -150,7 +186,7 @@ impl Fusion {
         match self.find(time_secs, on_step) {
             Ok((world_from_camera, fit)) => {
                 self.accept(world_from_camera, time_secs, on_step);
-                self.remember();
+                self.remember(fit.as_ref());
                 on_step(FusionStep::Remember);
                 TrackingOutcome::Tracked {
                     world_from_camera,
@@ -269,7 +305,9 @@ impl Fusion {
             world_from_camera: &track.world_from_camera,
         };
         let guess = track.predict(time_secs);
-        let (pose, fit) = align(eye, &model, &self.volume, &guess, &self.params.icp, on_step)
+        let infrared = self.infrared.as_ref();
+        let (volume, params) = (&self.volume, &self.params);
+        let (pose, fit) = align(eye, &model, volume, &guess, params, infrared, on_step)
             .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
         let motion = motion_between(&track.world_from_camera, &pose);
@@ -333,7 +371,7 @@ impl Fusion {
     }
 
     /// Keeps the frame that was just fused for closing loops and for finding back.
-    fn remember(&mut self) {
+    fn remember(&mut self, fit: Option<&Fit>) {
         self.hypothesis = None;
         self.is_interrupted = false;
         self.places.visit(&self.eye, &self.track.world_from_camera);
@@ -344,31 +382,11 @@ impl Fusion {
         } = self.track;
         self.keyframes
             .offer(&self.eye, time_secs, &world_from_camera, self.stretch);
+        let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
+        if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
+            && is_hardly_held
+        {
+            infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
+        }
     }
-}
-
-/// Aligns the frame in hand to the raycast model, then to the signed distances; `None` where nothing matches at all.
-fn align(
-    eye: &Eye,
-    model: &icp::CastModel,
-    volume: &TsdfVolume,
-    guess: &Pose,
-    params: &IcpParams,
-    on_step: &mut OnStep,
-) -> Option<(Pose, Fit)> {
-    let (arch, noise) = (eye.arch, &eye.noise);
-    let pose = icp::align(arch, &eye.frame, model, guess, noise, params)?;
-    on_step(FusionStep::Icp);
-    let levels = &eye.frame.reduced;
-    let (pose, equations) =
-        sdf_alignment::align(arch, levels, volume, &pose, noise, params.sdf_iterations)?;
-    let level = eye.level(MODEL_LEVEL);
-    let fit = Fit {
-        inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
-        rmse_m: equations.rmse_m(),
-        conditioning: equations.conditioning(0.5),
-        see_through_share: icp::see_through_share(level, model, &pose, volume.truncation_m()),
-    };
-    on_step(FusionStep::SdfAlignment);
-    Some((pose, fit))
 }

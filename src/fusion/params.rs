@@ -40,6 +40,8 @@ pub struct FusionParams {
     pub max_speed_m_per_s: f64,
     /// Polishing of given poses.
     pub polish: PolishParams,
+    /// Whether infrared images hold the camera where the geometry lets it slide, along a wall or round a ball.
+    pub use_infrared: bool,
     /// Closing loops at the end of the scan.
     pub loop_closing: LoopClosingParams,
 }
@@ -60,6 +62,7 @@ impl Default for FusionParams {
             min_conditioning: 1e-4,
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
+            use_infrared: true,
             polish: PolishParams::default(),
             loop_closing: LoopClosingParams::default(),
         }

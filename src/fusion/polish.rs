@@ -94,7 +94,8 @@ impl Fusion {
             lens: &eye.level(MODEL_LEVEL).lens,
             world_from_camera: given,
         };
-        let (pose, fit) = align(eye, &model, volume, given, &params.icp, on_step).ok_or(nothing)?;
+        let (pose, fit) =
+            align(eye, &model, volume, given, params, None, on_step).ok_or(nothing)?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params)?;
         let motion = motion_between(given, &pose);
         let bound = &params.polish;

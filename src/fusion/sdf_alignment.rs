@@ -37,7 +37,8 @@ pub fn align(
     last.map(|equations| (world_from_camera, equations))
 }
 
-fn equations(
+/// The residuals of a level at a pose.
+pub fn equations(
     arch: Arch,
     level: &Level,
     volume: &TsdfVolume,

@@ -10,7 +10,7 @@ use super::{
 use crate::{
     capture::{Event, EventKind, Tracked},
     export::StageTiming,
-    fusion::{DepthNoise, Fusion, FusionParams, LoopClosure, TrackingOutcome},
+    fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics, LoopClosure, TrackingOutcome},
     geometry::{CameraModel, Pose, TriMesh, motion_between},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
 };
@@ -19,12 +19,17 @@ use depth_camera::{CameraInfo, Frame, Image};
 use rayon::ThreadPool;
 use std::sync::Arc;
 
+/// Below this fitness the operator is told that tracking is weak.
+const WEAK_FITNESS: f64 = 0.25;
+
 /// What the fusion thread needs to know.
 pub struct FusionSetup {
     /// The camera.
     pub info: CameraInfo,
     /// Tracking and fusion.
     pub fusion: FusionParams,
+    /// Infrared images that hold the camera where the geometry does not; `None` without such images.
+    pub infrared: Option<InfraredOptics>,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
     /// Poses to fuse at, or to polish, instead of tracking.
@@ -107,6 +112,8 @@ struct FusionStage {
     trajectory: Vec<(f64, Pose)>,
     last_depth: Option<Image<f32>>,
     had_depth: bool,
+    /// Of the frame that was tracked last: see [`Fit::fitness`](crate::fusion::Fit::fitness).
+    fitness: Option<f64>,
     fusion_clock: StageClock,
     selection_clock: StageClock,
 }
@@ -117,9 +124,13 @@ impl FusionStage {
         let noise = DepthNoise::of_sensor(setup.info.sensor);
         FusionStage {
             polish: setup.fusion.polish.enabled,
-            fusion: setup
-                .pool
-                .install(|| Fusion::new(camera, noise, setup.fusion)),
+            fusion: setup.pool.install(|| {
+                let fusion = Fusion::new(camera, noise, setup.fusion);
+                match setup.infrared {
+                    Some(optics) => fusion.with_infrared(camera, optics),
+                    None => fusion,
+                }
+            }),
             selector: SnapshotSelector::new(&setup.info, setup.snapshot),
             poses: setup.poses,
             pool: setup.pool,
@@ -129,6 +140,7 @@ impl FusionStage {
             trajectory: Vec::new(),
             last_depth: None,
             had_depth: true,
+            fitness: None,
             fusion_clock: StageClock::new("tracking and fusion"),
             selection_clock: StageClock::new("selection of shading images"),
         }
@@ -168,6 +180,9 @@ impl FusionStage {
             Some(poses) => Some(poses.at(time_secs)?),
             None => None,
         };
+        if let (Some(ir), None) = (&frame.ir, &given) {
+            self.fusion.see(ir);
+        }
         let (fusion, pool, polish) = (&mut self.fusion, &self.pool, self.polish);
         let outcome = self.fusion_clock.time(|| {
             pool.install(|| match given {
@@ -182,8 +197,12 @@ impl FusionStage {
     fn account(&mut self, frame: &Frame, outcome: &TrackingOutcome) {
         match outcome {
             TrackingOutcome::Tracked {
-                world_from_camera, ..
-            } => self.found(frame, world_from_camera),
+                world_from_camera,
+                fit,
+            } => {
+                self.found(frame, world_from_camera);
+                self.note_fitness(frame, fit.map(|fit| fit.fitness));
+            }
             TrackingOutcome::NoDepth => {
                 self.summary.n_without_depth += 1;
                 if std::mem::replace(&mut self.had_depth, false) {
@@ -210,8 +229,21 @@ impl FusionStage {
         self.last_depth.clone_from(&frame.depth);
     }
 
+    /// Tells when the camera is about to be lost, once each time.
+    fn note_fitness(&mut self, frame: &Frame, fitness: Option<f64>) {
+        let is_weak = |fitness: Option<f64>| fitness.is_some_and(|fitness| fitness < WEAK_FITNESS);
+        let was_weak = is_weak(std::mem::replace(&mut self.fitness, fitness));
+        if let Some(fitness) = fitness
+            && is_weak(self.fitness)
+            && !was_weak
+        {
+            self.tell(frame, EventKind::Weak { fitness });
+        }
+    }
+
     fn lost(&mut self, frame: &Frame, reason: String) {
         self.had_depth = true;
+        self.fitness = Some(0.0);
         self.summary.n_lost += 1;
         let time_secs = frame.device_time_secs;
         let is_new = self
@@ -255,6 +287,7 @@ impl FusionStage {
             status.n_fused = summary.n_fused;
             status.n_lost = summary.n_lost;
             status.is_lost = summary.losses.is_lost();
+            status.fitness = self.fitness;
             status.n_snapshots = n_snapshots;
         });
     }

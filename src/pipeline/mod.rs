@@ -34,16 +34,17 @@ pub use given_poses::GivenPoses;
 pub use handle::{Ending, Handle, Outcome, Watch};
 pub use output_folder::{OutputFolder, OutputFolderError};
 pub use status::{Phase, Status};
+pub use timing::peak_memory_bytes;
 
 use crate::{
     capture::{CaptureParams, IrOffset, Recorder},
-    fusion::FusionParams,
+    fusion::{FusionParams, InfraredOptics},
     refine::{ObjectParams, RefineParams, Roi},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
 use deliver::Outbox;
-use depth_camera::{CameraInfo, DepthCamera};
+use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use device_stage::DeviceSetup;
 use edges::DropCounts;
 use fusion_stage::FusionSetup;
@@ -234,10 +235,32 @@ fn fusion_setup(
     Ok(FusionSetup {
         info: info.clone(),
         fusion: params.fusion.clone(),
+        infrared: infrared_optics(&params.fusion, &params.calibration, info),
         snapshot: params.snapshot.clone(),
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),
+    })
+}
+
+/// What tracking has to know of the infrared images; `None` where those that come with depth show the projector's speckle.
+pub fn infrared_optics(
+    fusion: &FusionParams,
+    calibration: &Calibration,
+    info: &CameraInfo,
+) -> Option<InfraredOptics> {
+    let (Sensor::Kinect2, Some(full_scale), Some(light), true) = (
+        info.sensor,
+        info.ir_full_scale,
+        info.light,
+        fusion.use_infrared,
+    ) else {
+        return None;
+    };
+    Some(InfraredOptics {
+        light: calibration.light.near_light(&light),
+        calibration: calibration.clone(),
+        full_scale,
     })
 }
 

@@ -12,7 +12,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("geometry", &[]),
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
-    ("fusion", &["geometry"]),
+    ("fusion", &["geometry", "shading"]),
     ("snapshot", &["geometry", "shading", "fusion"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("refine", &["geometry", "shading", "snapshot"]),
