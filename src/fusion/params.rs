@@ -40,7 +40,7 @@ pub struct FusionParams {
     pub max_speed_m_per_s: f64,
     /// Polishing of given poses.
     pub polish: PolishParams,
-    /// Whether infrared images hold the camera where the geometry lets it slide, along a wall or round a ball.
+    /// Whether infrared images hold the camera where the geometry lets it slide, along a wall.
     pub use_infrared: bool,
     /// Closing loops at the end of the scan.
     pub loop_closing: LoopClosingParams,

@@ -322,20 +322,6 @@ impl Scene {
         )
     }
 
-    /// A printed ball on a white table without end: depth tells nothing of a turn about the ball's upright axis.
-    pub fn printed_ball() -> Self {
-        let table = Shape::Table {
-            half_size: [3.0, 3.0],
-        };
-        let texture = Texture {
-            contrast: 0.6,
-            wavelength: 0.09,
-        };
-        let pose = Isometry3::translation(0.0, 0.0, 0.12);
-        let ball = Solid::new(Shape::Sphere { radius: 0.12 }, pose, 0.5).with_texture(texture);
-        Scene::new(vec![ball, Solid::new(table, Isometry3::identity(), 0.3)], 0)
-    }
-
     /// An object on a table between boxes: they tell a tracker where it is when the object alone would not.
     fn with_props(object: Solid) -> Self {
         let table = Shape::Table {

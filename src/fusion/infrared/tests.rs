@@ -100,17 +100,6 @@ fn a_printed_wall_is_tracked_by_its_print() {
 }
 
 #[test]
-fn a_printed_ball_turns_with_its_print() {
-    let scene = || camera(Scene::printed_ball(), Point3::new(0.0, 0.0, 0.12), 24);
-    let (bare, held) = (walk(scene(), false), walk(scene(), true));
-    assert_eq!(held.n_lost, 0);
-    assert!(bare.drift.translation_m > 0.03, "{:?}", bare.drift);
-    // A fifth of the drift is left: on a round surface the texture's slopes hang on normals of a young model.
-    let share = held.drift.translation_m / bare.drift.translation_m;
-    assert!(share < 0.3, "{:?} {:?}", bare.drift, held.drift);
-}
-
-#[test]
 fn where_the_geometry_holds_the_camera_no_bit_changes() {
     let plaque = || SimulatedCamera::kinect2_plaque(8, 3);
     let (bare, held) = (walk(plaque(), false), walk(plaque(), true));
