@@ -3,7 +3,7 @@
 //! They are the eigenvectors of JᵀWJ whose eigenvalues are small (Zhang et al. 2016). So that angles and lengths compare, the
 //! increment is taken about the middle of the points, and angles are multiplied by how far the points lie from it.
 //!
-//! The normals are those of the frame reduced by 8. Gradients of the signed distances will not do: the noise of a young model
+//! The normals are those of a coarse level of the frame. Gradients of the signed distances will not do: the noise of a young model
 //! tilts them by 20°, and makes a bare wall look as firm as a plaque.
 //!
 //! Not told: the turn of a ball on a table about its upright axis, which holds no less than a bust on a plinth.
