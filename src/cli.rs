@@ -6,12 +6,14 @@ pub mod calibrate;
 pub mod run;
 pub mod summary;
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use calibrate::CalibrateCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use depth_camera::Sensor;
-use nalgebra::Point3;
-use relief::{config::Overrides, refine::Roi};
+use relief::{
+    config::Overrides,
+    refine::{Crop, Roi},
+};
 use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
 
 /// Turns a hand-held Kinect scan into a mesh with detail below the depth sensor's noise, from infrared shading.
@@ -74,6 +76,18 @@ pub struct ReplayArgs {
         allow_hyphen_values = true
     )]
     pub roi: Option<RoiArg>,
+    /// What base.ply and the refined mesh are of: "object" above the plane found under it, the largest component in
+    /// "box=XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", or everything with "none"
+    #[arg(
+        long,
+        value_name = "none|object|box=...",
+        allow_hyphen_values = true,
+        conflicts_with = "roi"
+    )]
+    pub crop: Option<CropArg>,
+    /// Fill the holes of the meshes: every edge gets two faces
+    #[arg(long)]
+    pub watertight: bool,
     /// Distance between voxels, metres
     #[arg(long, value_name = "M")]
     pub voxel_size: Option<f64>,
@@ -83,6 +97,9 @@ pub struct ReplayArgs {
     /// Fuse at the poses of this file (TUM: timestamp tx ty tz qx qy qz qw) instead of tracking
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
+    /// Align every frame to the model from its pose in the file of --poses, and keep the result where it is believed
+    #[arg(long, requires = "poses")]
+    pub polish_poses: bool,
     /// Calibration of the IR image: a device's own file, or a complete one
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
@@ -116,6 +133,9 @@ impl ReplayArgs {
             voxel_size_m: self.voxel_size,
             depth_max_m: self.depth_max,
             max_snapshots: self.max_snapshots,
+            polish_poses: self.polish_poses.then_some(true),
+            crop: self.crop.map(|crop| crop.0),
+            watertight: self.watertight.then_some(true),
         }
     }
 }
@@ -175,7 +195,7 @@ impl BenchArgs {
         Overrides {
             voxel_size_m: self.voxel_size,
             depth_max_m: self.depth_max,
-            max_snapshots: None,
+            ..Overrides::default()
         }
     }
 }
@@ -206,21 +226,32 @@ impl FromStr for RoiArg {
     type Err = anyhow::Error;
 
     fn from_str(text: &str) -> anyhow::Result<Self> {
-        let [x_min, y_min, z_min, x_max, y_max, z_max] = numbers(text)?;
-        for (axis, min, max) in [
-            ("x", x_min, x_max),
-            ("y", y_min, y_max),
-            ("z", z_min, z_max),
-        ] {
-            ensure!(
-                min < max,
-                "{axis}min is {min}, must be below {axis}max, {max}"
-            );
-        }
-        Ok(RoiArg(Roi {
-            min: Point3::new(x_min, y_min, z_min),
-            max: Point3::new(x_max, y_max, z_max),
-        }))
+        let roi = Roi::of_bounds(numbers(text)?).map_err(anyhow::Error::msg)?;
+        Ok(RoiArg(roi))
+    }
+}
+
+/// Which part of the scene is taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CropArg(pub Crop);
+
+impl FromStr for CropArg {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let crop = match (text, text.strip_prefix("box=")) {
+            ("none", _) => Crop::None,
+            ("object", _) => Crop::Object,
+            (_, Some(bounds)) => {
+                let bounds = numbers(bounds)?;
+                Roi::of_bounds(bounds).map_err(anyhow::Error::msg)?;
+                Crop::Box(bounds)
+            }
+            _ => {
+                bail!("\"{text}\" is neither none nor object nor box=XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX")
+            }
+        };
+        Ok(CropArg(crop))
     }
 }
 
@@ -261,6 +292,25 @@ mod tests {
         ] {
             let error = text.parse::<RoiArg>().unwrap_err();
             assert_eq!(error.to_string(), message);
+            let error = format!("box={text}").parse::<CropArg>().unwrap_err();
+            assert_eq!(error.to_string(), message);
         }
+    }
+
+    #[test]
+    fn a_crop_is_a_word_or_a_box() {
+        let crop = |text: &str| text.parse::<CropArg>().map(|crop| crop.0);
+        assert_eq!(crop("none").unwrap(), Crop::None);
+        assert_eq!(crop("object").unwrap(), Crop::Object);
+        let bounds = [-0.1, -0.2, 0.3, 0.1, 0.2, 0.9];
+        assert_eq!(
+            crop("box=-0.1,-0.2,0.3,0.1,0.2,0.9").unwrap(),
+            Crop::Box(bounds)
+        );
+        let error = crop("table").unwrap_err().to_string();
+        assert!(
+            error.starts_with("\"table\" is neither none nor object nor box="),
+            "{error}"
+        );
     }
 }

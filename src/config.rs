@@ -15,7 +15,10 @@ pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
 
 use crate::{
-    capture::CaptureParams, fusion::FusionParams, multipath::MultipathParams, refine::RefineParams,
+    capture::CaptureParams,
+    fusion::FusionParams,
+    multipath::MultipathParams,
+    refine::{Crop, ObjectParams, RefineParams},
     snapshot::SnapshotParams,
 };
 use serde::{Deserialize, Serialize};
@@ -52,6 +55,8 @@ pub struct Config {
     pub fusion: FusionParams,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
+    /// Which part of the scan becomes meshes.
+    pub object: ObjectParams,
     /// Refinement.
     pub refine: RefineParams,
 }
@@ -65,6 +70,12 @@ pub struct Overrides {
     pub depth_max_m: Option<f64>,
     /// `snapshot.max_snapshots`.
     pub max_snapshots: Option<usize>,
+    /// `fusion.polish.enabled`.
+    pub polish_poses: Option<bool>,
+    /// `object.crop`.
+    pub crop: Option<Crop>,
+    /// `object.watertight`.
+    pub watertight: Option<bool>,
 }
 
 impl Config {
@@ -103,6 +114,10 @@ impl Config {
         let fusion = &mut self.fusion;
         fusion.voxel_size_m = overrides.voxel_size_m.unwrap_or(fusion.voxel_size_m);
         fusion.depth_max_m = overrides.depth_max_m.unwrap_or(fusion.depth_max_m);
+        fusion.polish.enabled = overrides.polish_poses.unwrap_or(fusion.polish.enabled);
+        let object = &mut self.object;
+        object.crop = overrides.crop.unwrap_or(object.crop);
+        object.watertight = overrides.watertight.unwrap_or(object.watertight);
         let snapshot = &mut self.snapshot;
         snapshot.max_snapshots = overrides.max_snapshots.unwrap_or(snapshot.max_snapshots);
     }
@@ -115,6 +130,7 @@ impl Config {
         self.capture.validate()?;
         self.fusion.validate()?;
         self.snapshot.validate()?;
+        self.object.validate()?;
         self.refine.validate()
     }
 }

@@ -40,6 +40,11 @@ pub enum EventKind {
         /// Why.
         reason: String,
     },
+    /// Tracking is about to be lost at this frame.
+    Weak {
+        /// How far it is from that, 0 to 1.
+        fitness: f64,
+    },
     /// Tracking has found back at this frame.
     Found,
     /// The frame shows no depth, unlike the one before.

@@ -2,6 +2,7 @@
 //!
 //! Processor time is that of the whole process, all threads together, which other work on the machine disturbs less than
 //! wall time. Reading the recording is not measured. This is scoring: where the recording has measured poses, they are read.
+//! The live mesh is brought up to the model after every tenth frame, which is measured by itself.
 
 use super::{
     BenchArgs,
@@ -10,11 +11,11 @@ use super::{
 use anyhow::Context;
 use depth_camera::{DepthCamera, Image};
 use relief::{
-    config::Config,
+    config::{self, CalibrationPlaces, Config},
     evaluate::{PosePair, TrajectoryError, trajectory_error},
-    fusion::{DepthNoise, Fusion, FusionStep, TrackingOutcome},
+    fusion::{DepthNoise, Fit, Fusion, FusionStep, InfraredOptics, LiveMesh, TrackingOutcome},
     geometry::CameraModel,
-    pipeline::GivenPoses,
+    pipeline::{GivenPoses, infrared_optics, peak_memory_bytes},
 };
 use replay::ReplayCamera;
 use rustix::time::{ClockId, clock_gettime};
@@ -39,8 +40,13 @@ struct Measured {
     frame_wall_ms: f64,
     /// Frames a second that this wall time allows.
     fps: f64,
+    /// Tracked frames by how far they were from being lost; `None` where none was.
+    fitness: Option<Fitness>,
     model_bytes: usize,
+    /// Largest resident memory of the process, the recording's images among it; `None` where the system does not tell.
+    peak_memory_bytes: Option<u64>,
     mesh: Mesh,
+    live_mesh: LiveMeshTime,
     /// `None` without measured poses.
     trajectory: Option<TrajectoryError>,
 }
@@ -66,6 +72,27 @@ struct Mesh {
     wall_ms: f64,
 }
 
+#[derive(Serialize)]
+struct Fitness {
+    median: f64,
+    least: f64,
+    /// The least of how firmly the geometry held the camera: see [`Fit::held_share`](relief::fusion::Fit::held_share).
+    least_held_share: f64,
+}
+
+/// What it takes to bring the live mesh up to the model.
+#[derive(Serialize)]
+struct LiveMeshTime {
+    every_frames: usize,
+    /// Medians over the refreshes.
+    cpu_ms: f64,
+    wall_ms: f64,
+    patches: usize,
+}
+
+/// The live mesh is looked at three times a second.
+const LIVE_EVERY_FRAMES: usize = 10;
+
 /// `relief bench`.
 pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
@@ -75,10 +102,20 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         .num_threads(n_threads.get())
         .build()?;
     let truth = measured_poses(&args.session)?;
-    let mut run = Run::new(&camera, &config);
+    let mut run = Run::new(
+        &camera,
+        &config,
+        calibrated_infrared(args, &config, &camera)?,
+    );
     while let Some(frame) = camera.grab(Duration::ZERO)? {
         if let Some(depth) = &frame.depth {
+            if let Some(ir) = &frame.ir {
+                run.fusion.see(ir);
+            }
             pool.install(|| run.fuse(depth, frame.device_time_secs, truth.as_ref()));
+            if run.frames.tracked.is_multiple_of(LIVE_EVERY_FRAMES) {
+                pool.install(|| run.refresh());
+            }
         }
     }
     let mesh = pool.install(|| run.mesh());
@@ -91,9 +128,12 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         frame_cpu_ms: median(&mut run.frames_cpu_ms),
         frame_wall_ms: median(&mut run.frames_wall_ms),
         fps: 1e3 / median(&mut run.frames_wall_ms),
-        frames: run.frames,
+        fitness: run.fitness(),
         model_bytes: run.fusion.memory_bytes(),
+        peak_memory_bytes: peak_memory_bytes(),
         mesh,
+        live_mesh: run.live_mesh_time(),
+        frames: run.frames,
         trajectory: truth.and_then(|_| trajectory_error(&run.pairs)),
     };
     match args.json {
@@ -101,6 +141,25 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         false => print_text(&measured),
     }
     Ok(Verdict::Done)
+}
+
+/// What tracking has to know of the session's infrared images, with the calibration that a replay would take.
+fn calibrated_infrared(
+    args: &BenchArgs,
+    config: &Config,
+    camera: &ReplayCamera,
+) -> anyhow::Result<Option<InfraredOptics>> {
+    let places = CalibrationPlaces {
+        given: None,
+        folder: &run::calibration_folder(None, args.config.as_deref()),
+        session: Some(&args.session),
+    };
+    let found = config::find_calibration(camera.info(), &places)?;
+    Ok(infrared_optics(
+        &config.fusion,
+        &found.calibration,
+        camera.info(),
+    ))
 }
 
 /// The measured poses that lie beside a recording, if there are any.
@@ -121,22 +180,34 @@ struct Run {
     steps_cpu_ms: [Vec<f64>; FusionStep::ALL.len()],
     frames_cpu_ms: Vec<f64>,
     frames_wall_ms: Vec<f64>,
+    fits: Vec<Fit>,
+    live_mesh: LiveMesh,
+    refresh_cpu_ms: Vec<f64>,
+    refresh_wall_ms: Vec<f64>,
+    refresh_patches: Vec<f64>,
     pairs: Vec<PosePair>,
 }
 
 impl Run {
-    fn new(camera: &ReplayCamera, config: &Config) -> Self {
+    fn new(camera: &ReplayCamera, config: &Config, infrared: Option<InfraredOptics>) -> Self {
         let info = camera.info();
+        let model = CameraModel::new(info.intrinsics);
+        let noise = DepthNoise::of_sensor(info.sensor);
+        let fusion = Fusion::new(model, noise, config.fusion.clone());
         Run {
-            fusion: Fusion::new(
-                CameraModel::new(info.intrinsics),
-                DepthNoise::of_sensor(info.sensor),
-                config.fusion.clone(),
-            ),
+            fusion: match infrared {
+                Some(optics) => fusion.with_infrared(model, optics),
+                None => fusion,
+            },
             frames: Frames::default(),
             steps_cpu_ms: Default::default(),
             frames_cpu_ms: Vec::new(),
             frames_wall_ms: Vec::new(),
+            fits: Vec::new(),
+            live_mesh: LiveMesh::default(),
+            refresh_cpu_ms: Vec::new(),
+            refresh_wall_ms: Vec::new(),
+            refresh_patches: Vec::new(),
             pairs: Vec::new(),
         }
     }
@@ -152,9 +223,11 @@ impl Run {
         });
         match outcome {
             TrackingOutcome::Tracked {
-                world_from_camera, ..
+                world_from_camera,
+                fit,
             } => {
                 self.frames.tracked += 1;
+                self.fits.extend(fit);
                 self.frames_cpu_ms.push(process_cpu_ms() - start_cpu_ms);
                 self.frames_wall_ms
                     .push(1e3 * start.elapsed().as_secs_f64());
@@ -167,6 +240,35 @@ impl Run {
             TrackingOutcome::Lost(_) => self.frames.lost += 1,
             TrackingOutcome::NoDepth => self.frames.without_depth += 1,
         }
+    }
+
+    /// Brings the live mesh up to the model.
+    fn refresh(&mut self) {
+        let (start_cpu_ms, start) = (process_cpu_ms(), Instant::now());
+        let changed = self.fusion.refresh(&mut self.live_mesh);
+        self.refresh_cpu_ms.push(process_cpu_ms() - start_cpu_ms);
+        self.refresh_wall_ms
+            .push(1e3 * start.elapsed().as_secs_f64());
+        self.refresh_patches.push(changed.len() as f64);
+    }
+
+    fn live_mesh_time(&mut self) -> LiveMeshTime {
+        LiveMeshTime {
+            every_frames: LIVE_EVERY_FRAMES,
+            cpu_ms: median(&mut self.refresh_cpu_ms),
+            wall_ms: median(&mut self.refresh_wall_ms),
+            patches: median(&mut self.refresh_patches) as usize,
+        }
+    }
+
+    fn fitness(&self) -> Option<Fitness> {
+        let least = |of: fn(&Fit) -> f64| self.fits.iter().map(of).min_by(f64::total_cmp);
+        let mut fitness: Vec<f64> = self.fits.iter().map(|fit| fit.fitness).collect();
+        Some(Fitness {
+            least: least(|fit| fit.fitness)?,
+            least_held_share: least(|fit| fit.held_share)?,
+            median: median(&mut fitness),
+        })
     }
 
     fn mesh(&self) -> Mesh {
@@ -233,7 +335,21 @@ fn print_text(measured: &Measured) {
         "wall time a frame: {:.2} ms, {:.0} frames/s",
         measured.frame_wall_ms, measured.fps
     );
+    if let Some(fitness) = &measured.fitness {
+        println!(
+            "fitness: median {:.2}, least {:.2}; held by the geometry: {:.4} at least",
+            fitness.median, fitness.least, fitness.least_held_share
+        );
+    }
     println!("model: {} MiB", measured.model_bytes >> 20);
+    if let Some(bytes) = measured.peak_memory_bytes {
+        println!("largest resident memory: {} MiB", bytes >> 20);
+    }
+    let live = &measured.live_mesh;
+    println!(
+        "live mesh every {} frames: {} patches, {:.1} ms of processor time, {:.1} ms",
+        live.every_frames, live.patches, live.cpu_ms, live.wall_ms
+    );
     let mesh = &measured.mesh;
     println!(
         "mesh: {} vertices, {} faces, {:.1} ms of processor time, {:.1} ms",

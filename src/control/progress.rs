@@ -135,7 +135,11 @@ fn sentence(status: &Status) -> String {
             let of = status
                 .n_announced
                 .map_or_else(String::new, |n| format!(" of {n}"));
-            let lost = if status.is_lost { ", LOST" } else { "" };
+            let lost = match (status.is_lost, status.fitness) {
+                (true, _) => ", LOST".to_owned(),
+                (false, Some(fitness)) => format!(", fitness {fitness:.1}"),
+                (false, None) => String::new(),
+            };
             format!(
                 "frame {}{of}: {} fused, {} lost{lost}, {} shading images",
                 status.n_handled, status.n_fused, status.n_lost, status.n_snapshots
@@ -165,12 +169,13 @@ mod tests {
             n_handled: 12,
             n_fused: 11,
             n_lost: 1,
+            fitness: Some(0.82),
             n_snapshots: 3,
             ..Status::default()
         };
         assert_eq!(
             sentence(&status),
-            "frame 12 of 48: 11 fused, 1 lost, 3 shading images"
+            "frame 12 of 48: 11 fused, 1 lost, fitness 0.8, 3 shading images"
         );
         assert_eq!(share(&status), (12, Some(48)));
         status.phase = Phase::Refining;

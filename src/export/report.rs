@@ -70,6 +70,8 @@ pub struct Tracking {
     pub path_length_m: f64,
     /// How often a lost camera was found in another place than it was lost at.
     pub n_relocalised: u64,
+    /// Frames fused at their given pose although it was to be polished: none near it was believed.
+    pub n_unpolished: u64,
     /// When the camera was lost.
     pub lost_spans: Vec<LostSpan>,
 }
@@ -98,6 +100,10 @@ pub struct BaseMesh {
     pub faces: usize,
     /// Surface area, m².
     pub area_m2: f64,
+    /// Holes that were filled; 0 unless that was asked for.
+    pub n_holes_filled: usize,
+    /// Area of what fills them, m².
+    pub filled_m2: f64,
     /// File.
     pub path: String,
 }

@@ -112,6 +112,7 @@ mod tests {
             tracking: Tracking {
                 path_length_m: 2.5,
                 n_relocalised: 0,
+                n_unpolished: 0,
                 lost_spans: vec![LostSpan::default()],
             },
             base_mesh: BaseMesh {

@@ -63,6 +63,19 @@ impl Band {
         &self.touched
     }
 
+    /// How many frames were taken in.
+    pub fn frame(&self) -> u32 {
+        self.frame
+    }
+
+    /// The blocks that were touched after so many frames, in rising order.
+    pub fn touched_since(&self, frame: u32) -> impl Iterator<Item = u32> {
+        let touched_in = self.touched_in.iter().enumerate();
+        touched_in
+            .filter(move |(_, last)| **last > frame)
+            .map(|(block, _)| block as u32)
+    }
+
     /// What the volume refused so far.
     pub fn refused(&self) -> Refused {
         self.refused
@@ -98,10 +111,10 @@ impl Band {
                 self.mark(volume, &origin, &(rotation * ray), depth);
             }
         }
-        let touched_in = self.touched_in.iter().enumerate();
-        let of_frame = touched_in.filter(|(_, frame)| **frame == self.frame);
-        self.touched.clear();
-        self.touched.extend(of_frame.map(|(block, _)| block as u32));
+        let mut touched = std::mem::take(&mut self.touched);
+        touched.clear();
+        touched.extend(self.touched_since(self.frame - 1));
+        self.touched = touched;
     }
 
     /// Marks the blocks that a ray crosses from `depth` less the truncation distance to `depth` plus it.

@@ -32,6 +32,30 @@ pub(super) fn judge_fit(
     }
 }
 
+/// How far a fit is from the gates: see [`Fit::fitness`].
+pub(super) fn fitness(
+    fit: &Fit,
+    frame: &FramePyramid,
+    noise: &DepthNoise,
+    params: &FusionParams,
+) -> f64 {
+    let sigma_m = noise.sigma_m(median_depth(frame)) as f64;
+    // 0 at the gate, 1 halfway from there to what is perfect.
+    let margin = |value: f64, gate: f64, perfect: f64| 2.0 * (value - gate) / (perfect - gate);
+    [
+        margin(fit.inlier_share, params.min_inlier_share, 1.0),
+        margin(fit.see_through_share, params.max_see_through_share, 0.0),
+        margin(fit.rmse_m, params.max_rmse_sigmas * sigma_m, 0.0),
+        // A share that spans decades: one of them.
+        (fit.conditioning / params.min_conditioning).log10(),
+    ]
+    .into_iter()
+    // A gate that is switched off has no margin: 0/0.
+    .filter(|margin| !margin.is_nan())
+    .fold(1.0, f64::min)
+    .max(0.0)
+}
+
 /// Judges how far the camera has moved in a time.
 pub(super) fn judge_motion(
     motion: &Motion,

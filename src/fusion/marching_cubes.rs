@@ -4,7 +4,7 @@
 //! carries one vertex, whose number is that of the crossed edges before it, so that cubes share vertices without a search.
 //! Blocks are worked on in parallel, and their parts put together in the order of allocation.
 
-use super::block::{BLOCK_SIDE, BLOCK_VOXELS, voxel_index};
+use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BlockCoord, voxel_index};
 use super::block_masks::{Cubes, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges};
 use super::cube_cases::{Case, edge_corners, trace_cases};
 use super::volume::TsdfVolume;
@@ -33,7 +33,7 @@ pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMe
     let cases = trace_cases();
     let grid = Grid {
         volume,
-        edges: std::array::from_fn(|edge| edge_corners(edge as u8)),
+        edges: edge_ends(),
         cases: &cases,
         voxels: &voxels,
         neighbours: &neighbours,
@@ -141,25 +141,72 @@ impl Grid<'_> {
                 bits(word).map(move |bit| (axis, [bit & 7, bit >> 3, z]))
             })
         });
-        let voxel_size_m = f64::from(self.volume.voxel_size_m());
+        let around = &self.neighbours[block];
         for (out, (axis, low)) in out.iter_mut().zip(edges) {
-            let mut high = low;
-            high[axis] += 1;
-            let (a, b) = (self.distance(block, low), self.distance(block, high));
-            let mut place = [0, 1, 2].map(|k| f64::from(coord[k] * BLOCK_SIDE + low[k] as i32));
-            place[axis] += a / (a - b);
-            *out = Point3::from(place.map(|x| x * voxel_size_m));
+            *out = place_on_edge(self.volume, coord, around, axis, low);
         }
     }
+}
 
-    /// The raw distance of a voxel of a block or of the layer above it.
+/// The corners that the edges of a cube lead from and to.
+pub fn edge_ends() -> [(u8, u8); 12] {
+    std::array::from_fn(|edge| edge_corners(edge as u8))
+}
+
+/// Where the distance is zero on an edge that the surface crosses, world frame (m): it runs along `axis` from voxel `low` of
+/// the block at `coord`, or of the layer above it.
+#[inline(always)]
+pub fn place_on_edge(
+    volume: &TsdfVolume,
+    coord: BlockCoord,
+    around: &Neighbours,
+    axis: usize,
+    low: [usize; 3],
+) -> Point3<f64> {
+    let mut high = low;
+    high[axis] += 1;
+    let (a, b) = (
+        distance(volume, around, low),
+        distance(volume, around, high),
+    );
+    let mut place = [0, 1, 2].map(|k| f64::from(coord[k] * BLOCK_SIDE + low[k] as i32));
+    place[axis] += a / (a - b);
+    Point3::from(place.map(|x| x * f64::from(volume.voxel_size_m())))
+}
+
+/// The raw distance of a voxel of a block or of the layer above it.
+#[inline(always)]
+fn distance(volume: &TsdfVolume, around: &Neighbours, [x, y, z]: [usize; 3]) -> f64 {
+    let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
+    let block = around.up[side] as usize;
+    debug_assert!(block != NONE as usize, "both ends of an edge were seen");
+    let index = voxel_index([x & 7, y & 7, z & 7].map(|i| i as i32));
+    f64::from(volume.blocks()[block].tsdf[index % BLOCK_VOXELS])
+}
+
+/// Block, slab and bit of each corner of a cube.
+pub struct CubeCorners([(usize, usize, usize); 8]);
+
+impl CubeCorners {
+    /// The corners of the cube whose lowest voxel is `low` of a block.
     #[inline(always)]
-    fn distance(&self, block: usize, [x, y, z]: [usize; 3]) -> f64 {
-        let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
-        let block = self.neighbours[block].up[side] as usize;
-        debug_assert!(block != NONE as usize, "both ends of an edge were seen");
-        let index = voxel_index([x & 7, y & 7, z & 7].map(|i| i as i32));
-        f64::from(self.volume.blocks()[block].tsdf[index % BLOCK_VOXELS])
+    pub fn of(low: [usize; 3], around: &Neighbours) -> Self {
+        CubeCorners(std::array::from_fn(|corner| {
+            let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + (corner >> axis & 1));
+            let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
+            (around.up[side] as usize, z & 7, x & 7 | (y & 7) << 3)
+        }))
+    }
+
+    /// Which corners lie inside, one bit each.
+    #[inline(always)]
+    pub fn pattern(&self, voxels: &[Voxels]) -> usize {
+        let inside = |&(block, slab, bit): &(usize, usize, usize)| {
+            (voxels[block].inside[slab] >> bit & 1) as usize
+        };
+        (0..8).fold(0, |pattern, corner| {
+            pattern | inside(&self.0[corner]) << corner
+        })
     }
 }
 
@@ -192,24 +239,13 @@ impl Faces<'_> {
     #[inline(always)]
     fn cube(&self, block: usize, low: [usize; 3], faces: &mut Vec<[u32; 3]>) {
         let grid = self.grid;
-        let up = &grid.neighbours[block].up;
-        // Block, slab and bit of each corner.
-        let corners: [(usize, usize, usize); 8] = std::array::from_fn(|corner| {
-            let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + (corner >> axis & 1));
-            let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
-            (up[side] as usize, z & 7, x & 7 | (y & 7) << 3)
-        });
-        let inside = |&(block, slab, bit): &(usize, usize, usize)| {
-            (grid.voxels[block].inside[slab] >> bit & 1) as usize
-        };
-        let pattern = (0..8).fold(0, |pattern, corner| {
-            pattern | inside(&corners[corner]) << corner
-        });
+        let corners = CubeCorners::of(low, &grid.neighbours[block]);
         let vertex = |edge: u8| {
-            let (block, slab, bit) = corners[grid.edges[edge as usize].0 as usize];
+            let (block, slab, bit) = corners.0[grid.edges[edge as usize].0 as usize];
             grid.vertices[block].vertex(edge as usize / 4, slab, bit)
         };
-        faces.extend(grid.cases[pattern].iter().map(|face| face.map(vertex)));
+        let case = &grid.cases[corners.pattern(grid.voxels)];
+        faces.extend(case.iter().map(|face| face.map(vertex)));
     }
 }
 

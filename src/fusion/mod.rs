@@ -18,8 +18,11 @@ mod normals;
 mod preprocess;
 mod pyramid;
 
+mod align;
+mod degeneracy;
 mod gates;
 mod icp;
+mod infrared;
 mod normal_equations;
 mod points;
 mod sdf_alignment;
@@ -36,6 +39,7 @@ mod volume;
 
 mod raycast;
 
+mod polish;
 mod relocalise;
 
 mod depth_field;
@@ -51,27 +55,34 @@ mod pose_graph;
 pub(crate) mod bench_tests;
 mod block_masks;
 mod cube_cases;
+mod live_mesh;
 mod marching_cubes;
 #[cfg(test)]
 mod tests;
 
 pub use depth_field::DepthField;
 pub use icp::IcpParams;
+pub use infrared::InfraredOptics;
 pub use keyframes::Keyframe;
 #[cfg(test)]
 pub(crate) use lanes::arch_levels;
+pub use live_mesh::LiveMesh;
 pub use loop_closing::{LoopClosingParams, LoopClosure};
 pub use noise::DepthNoise;
 pub use outcome::{Fit, LossReason, TrackingOutcome};
 pub use params::FusionParams;
+pub use polish::PolishParams;
 pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
 pub use steps::{FusionStep, OnStep};
 
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, motion_between};
+use align::align;
 use band::Band;
+use degeneracy::HARDLY_HELD_SHARE;
 use depth_camera::Image;
 use eye::Eye;
+use infrared::Infrared;
 use keyframes::Keyframes;
 use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
@@ -92,8 +103,12 @@ const MAX_SETTLING_M: f64 = 0.01;
 pub struct Fusion {
     params: FusionParams,
     eye: Eye,
+    /// `None` without infrared images that show a scene lit by the sensor.
+    infrared: Option<Infrared>,
     band: Band,
     volume: TsdfVolume,
+    /// Rises when the volume is replaced by another.
+    volume_number: usize,
     model: Option<ModelMap>,
     track: Track,
     n_fused: usize,
@@ -104,6 +119,8 @@ pub struct Fusion {
     /// Where the frame before may have been taken, if it was lost.
     hypothesis: Option<(Hypothesis, Track)>,
     n_relocalised: usize,
+    /// Frames whose given pose was not polished.
+    n_unpolished: usize,
     /// Whether the frame before was not tracked.
     is_interrupted: bool,
 }
@@ -113,8 +130,10 @@ impl Fusion {
     pub fn new(camera: CameraModel, noise: DepthNoise, params: FusionParams) -> Self {
         Fusion {
             eye: Eye::new(&camera, noise, params.depth_range()),
+            infrared: None,
             band: Band::default(),
             volume: params.empty_volume(),
+            volume_number: 0,
             model: None,
             track: Track::at(Pose::identity(), 0.0),
             n_fused: 0,
@@ -123,8 +142,22 @@ impl Fusion {
             places: Places::default(),
             hypothesis: None,
             n_relocalised: 0,
+            n_unpolished: 0,
             is_interrupted: false,
             params,
+        }
+    }
+
+    /// The same with infrared images, which hold the camera where the geometry lets it slide: see [`Self::see`].
+    pub fn with_infrared(mut self, camera: CameraModel, optics: InfraredOptics) -> Self {
+        self.infrared = Some(Infrared::new(camera, optics));
+        self
+    }
+
+    /// Takes the infrared image (counts) of the depth image that is tracked next.
+    pub fn see(&mut self, counts: &Image<u16>) {
+        if let Some(infrared) = &mut self.infrared {
+            infrared.take(counts);
         }
     }
 
@@ -140,6 +173,19 @@ impl Fusion {
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> TrackingOutcome {
+        let outcome = self.track_and_fuse(depth, time_secs, on_step);
+        if let Some(infrared) = &mut self.infrared {
+            infrared.forget();
+        }
+        outcome
+    }
+
+    fn track_and_fuse(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        on_step: &mut OnStep,
+    ) -> TrackingOutcome {
         if !self.eye.take(depth) {
             self.interrupt();
             return TrackingOutcome::NoDepth;
@@ -148,7 +194,7 @@ impl Fusion {
         match self.find(time_secs, on_step) {
             Ok((world_from_camera, fit)) => {
                 self.accept(world_from_camera, time_secs, on_step);
-                self.remember();
+                self.remember(fit.as_ref());
                 on_step(FusionStep::Remember);
                 TrackingOutcome::Tracked {
                     world_from_camera,
@@ -183,6 +229,7 @@ impl Fusion {
         let frames = self.keyframes.frames();
         let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume)?;
         (self.volume, self.band) = (closed.volume, closed.band);
+        self.volume_number += 1;
         Some(closed.closure)
     }
 
@@ -290,7 +337,9 @@ impl Fusion {
             world_from_camera: &track.world_from_camera,
         };
         let guess = track.predict(time_secs);
-        let (pose, fit) = align(eye, &model, &self.volume, &guess, &self.params.icp, on_step)
+        let infrared = self.infrared.as_ref();
+        let (volume, params) = (&self.volume, &self.params);
+        let (pose, fit) = align(eye, &model, volume, &guess, params, infrared, on_step)
             .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
         let motion = motion_between(&track.world_from_camera, &pose);
@@ -354,7 +403,7 @@ impl Fusion {
     }
 
     /// Keeps the frame that was just fused for closing loops and for finding back.
-    fn remember(&mut self) {
+    fn remember(&mut self, fit: Option<&Fit>) {
         self.hypothesis = None;
         self.is_interrupted = false;
         self.places.visit(&self.eye, &self.track.world_from_camera);
@@ -365,31 +414,11 @@ impl Fusion {
         } = self.track;
         self.keyframes
             .offer(&self.eye, time_secs, &world_from_camera, self.stretch);
+        let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
+        if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
+            && is_hardly_held
+        {
+            infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
+        }
     }
-}
-
-/// Aligns the frame in hand to the raycast model, then to the signed distances; `None` where nothing matches at all.
-fn align(
-    eye: &Eye,
-    model: &icp::CastModel,
-    volume: &TsdfVolume,
-    guess: &Pose,
-    params: &IcpParams,
-    on_step: &mut OnStep,
-) -> Option<(Pose, Fit)> {
-    let (arch, noise) = (eye.arch, &eye.noise);
-    let pose = icp::align(arch, &eye.frame, model, guess, noise, params)?;
-    on_step(FusionStep::Icp);
-    let levels = &eye.frame.reduced;
-    let (pose, equations) =
-        sdf_alignment::align(arch, levels, volume, &pose, noise, params.sdf_iterations)?;
-    let level = eye.level(MODEL_LEVEL);
-    let fit = Fit {
-        inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
-        rmse_m: equations.rmse_m(),
-        conditioning: equations.conditioning(0.5),
-        see_through_share: icp::see_through_share(level, model, &pose, volume.truncation_m()),
-    };
-    on_step(FusionStep::SdfAlignment);
-    Some((pose, fit))
 }

@@ -119,6 +119,33 @@ pub struct NormalEquations {
 }
 
 impl NormalEquations {
+    /// JᵀWJ by left increments about the camera's centre, rotation (rad), then translation (m).
+    pub fn jtj(&self) -> &Matrix6<f64> {
+        &self.jtj
+    }
+
+    /// JᵀWr.
+    pub fn jtr(&self) -> &Vector6<f64> {
+        &self.jtr
+    }
+
+    /// Sum of all weights.
+    pub fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    /// These residuals and others together.
+    pub fn and(&self, other: &Self) -> Self {
+        NormalEquations {
+            jtj: self.jtj + other.jtj,
+            jtr: self.jtr + other.jtr,
+            weight: self.weight + other.weight,
+            weighted_square: self.weighted_square + other.weighted_square,
+            n_points: self.n_points + other.n_points,
+            n_inliers: self.n_inliers + other.n_inliers,
+        }
+    }
+
     /// Sums the tiles `0..n_tiles` in order, whatever thread they are summed on.
     pub fn of_tiles(n_tiles: usize, sum_tile: impl Fn(usize) -> TileSums + Send + Sync) -> Self {
         let tiles: Vec<TileSums> = (0..n_tiles).into_par_iter().map(sum_tile).collect();

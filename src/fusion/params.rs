@@ -2,6 +2,7 @@
 
 use super::icp::IcpParams;
 use super::loop_closing::LoopClosingParams;
+use super::polish::PolishParams;
 use super::preprocess::DepthRange;
 use super::volume::TsdfVolume;
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,10 @@ pub struct FusionParams {
     pub depth_field: bool,
     /// How often a scan may be fused again at its end with what it has told of its depth.
     pub max_revisions: usize,
+    /// Polishing of given poses.
+    pub polish: PolishParams,
+    /// Whether infrared images hold the camera where the geometry lets it slide, along a wall.
+    pub use_infrared: bool,
     /// Closing loops at the end of the scan.
     pub loop_closing: LoopClosingParams,
 }
@@ -63,6 +68,8 @@ impl Default for FusionParams {
             max_speed_m_per_s: 2.0,
             depth_field: true,
             max_revisions: 2,
+            use_infrared: true,
+            polish: PolishParams::default(),
             loop_closing: LoopClosingParams::default(),
         }
     }
@@ -128,6 +135,7 @@ impl FusionParams {
         within("icp.sdf_iterations", coarse, 0.0, 100.0)?;
         within("icp.sdf_iterations", fine, 1.0, 100.0)?;
         within("max_revisions", self.max_revisions as f64, 0.0, 10.0)?;
+        self.polish.validate(within)?;
         self.loop_closing.validate(within)
     }
 

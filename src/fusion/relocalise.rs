@@ -108,7 +108,7 @@ fn lock(
             lens: &eye.level(MODEL_LEVEL).lens,
             world_from_camera: pose,
         };
-        align(eye, &model, volume, pose, &params.icp, &mut |_| {})
+        align(eye, &model, volume, pose, params, None, &mut |_| {})
     };
     let (near, fit) = align_from(place)?;
     if fit.inlier_share < params.min_inlier_share {

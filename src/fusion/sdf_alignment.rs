@@ -7,7 +7,7 @@ use super::icp::{is_small, rows, turn};
 use super::lanes::LANES;
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, huber_weight};
-use super::points::{Points, Residuals, equations};
+use super::points::{self, Points, Residuals};
 use super::pyramid::{Level, N_REDUCED};
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
@@ -29,14 +29,7 @@ pub fn align(
     let mut last = None;
     for (level, n) in [&levels[2], &levels[1]].into_iter().zip(iterations) {
         for _ in 0..n {
-            let rotation = world_from_camera.rotation.to_rotation_matrix();
-            let target = PointToDistance {
-                volume,
-                rotation: rows(rotation.matrix()),
-                centre: world_from_camera.translation.vector.cast::<f32>().into(),
-                noise,
-            };
-            let equations = equations(arch, level, &target);
+            let equations = equations(arch, level, volume, &world_from_camera, noise);
             let step = equations.solve(&world_from_camera.translation.vector)?;
             world_from_camera = step * world_from_camera;
             last = Some(equations);
@@ -46,6 +39,24 @@ pub fn align(
         }
     }
     last.map(|equations| (world_from_camera, equations))
+}
+
+/// The residuals of a level at a pose.
+pub fn equations(
+    arch: Arch,
+    level: &Level,
+    volume: &TsdfVolume,
+    world_from_camera: &Pose,
+    noise: &DepthNoise,
+) -> NormalEquations {
+    let rotation = world_from_camera.rotation.to_rotation_matrix();
+    let target = PointToDistance {
+        volume,
+        rotation: rows(rotation.matrix()),
+        centre: world_from_camera.translation.vector.cast::<f32>().into(),
+        noise,
+    };
+    points::equations(arch, level, &target)
 }
 
 struct PointToDistance<'a> {

@@ -263,3 +263,39 @@ fn a_view_settles_on_the_finished_model() {
     let led = fusion.settle(depth, &far);
     assert!(led.is_none_or(|pose| motion_between(&far, &pose).translation_m < 0.01));
 }
+
+#[test]
+fn fitness_falls_before_the_camera_is_lost() {
+    let (frames, _, camera) = frames(6);
+    let mut before = fusion(camera);
+    for frame in &frames[..5] {
+        fuse(&mut before, frame);
+    }
+    let depth = frames[5].depth.as_ref().expect("Kinect II");
+    // A hand before the lens that covers more and more of the image.
+    let fitness_behind = |covered_share: f64| {
+        let mut covered = depth.clone();
+        let n_columns = (covered_share * depth.width() as f64) as usize;
+        for row in covered.data_mut().chunks_mut(depth.width()) {
+            row[..n_columns].fill(0.4);
+        }
+        match before.clone().fuse(&covered, frames[5].device_time_secs) {
+            TrackingOutcome::Tracked { fit, .. } => fit.map(|fit| fit.fitness),
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth => None,
+        }
+    };
+    let fitness: Vec<Option<f64>> = (0..20)
+        .map(|n| fitness_behind(0.05 * f64::from(n)))
+        .collect();
+    let n_tracked = fitness
+        .iter()
+        .take_while(|fitness| fitness.is_some())
+        .count();
+    let tracked: Vec<f64> = fitness[..n_tracked].iter().copied().flatten().collect();
+    assert!((5..20).contains(&n_tracked), "{fitness:?}");
+    assert_eq!(tracked[0], 1.0);
+    assert!(tracked[n_tracked - 1] < 0.4, "{fitness:?}");
+    // Two steps, a tenth of the image, before the loss it is plain to see.
+    assert!(tracked[n_tracked - 2] < 0.6, "{fitness:?}");
+    assert!(tracked.is_sorted_by(|a, b| *b <= a + 0.02), "{fitness:?}");
+}

@@ -7,16 +7,20 @@
 mod bvh;
 pub(crate) mod camera;
 mod cells;
+mod manifold;
 mod mesh;
 mod patch;
 mod pose;
 mod rasterise;
 mod triangle;
+mod watertight;
 
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use cells::CellGrid;
+pub use manifold::{Manifold, border_loops, cut_to_manifold};
 pub use mesh::{EdgeAdjacency, TriMesh};
 pub use patch::{DepthPatch, PixelSquare};
 pub use pose::{Motion, Pose, between, increment, mean_pose, motion_between};
 pub use rasterise::{DepthBuffer, rasterise};
+pub use watertight::{Watertight, close_holes};

@@ -1,6 +1,5 @@
 //! The outputs of a run: what is written where, and what could not be.
 
-use super::fusion_stage::FusedScan;
 use crate::{
     capture::RecorderSummary,
     export::{
@@ -64,9 +63,9 @@ impl Outbox {
     }
 
     /// Writes the base mesh.
-    pub fn base_mesh(&self, scan: &FusedScan) {
-        let normals = scan.base.vertex_normals();
-        self.write(BASE_PLY, |path| write_ply(path, &scan.base, &normals, None));
+    pub fn base_mesh(&self, base: &TriMesh) {
+        let normals = base.vertex_normals();
+        self.write(BASE_PLY, |path| write_ply(path, base, &normals, None));
     }
 
     /// Writes the refined mesh in both formats.

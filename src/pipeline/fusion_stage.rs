@@ -11,7 +11,10 @@ use super::{
 use crate::{
     capture::{Event, EventKind, Tracked},
     export::StageTiming,
-    fusion::{DepthNoise, Fusion, FusionParams, LoopClosure, PoseCorrection, TrackingOutcome},
+    fusion::{
+        DepthNoise, Fusion, FusionParams, InfraredOptics, LoopClosure, PoseCorrection,
+        TrackingOutcome,
+    },
     geometry::{CameraModel, Pose, TriMesh, motion_between},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
 };
@@ -20,17 +23,22 @@ use depth_camera::{CameraInfo, Frame, Image};
 use rayon::ThreadPool;
 use std::sync::Arc;
 
+/// Below this fitness the operator is told that tracking is weak.
+const WEAK_FITNESS: f64 = 0.25;
+
 /// What the fusion thread needs to know.
 pub struct FusionSetup {
     /// The camera.
     pub info: CameraInfo,
     /// Tracking and fusion.
     pub fusion: FusionParams,
+    /// Infrared images that hold the camera where the geometry does not; `None` without such images.
+    pub infrared: Option<InfraredOptics>,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
     /// What is taken off the depth.
     pub correction: DepthCorrection,
-    /// Poses to fuse at instead of tracking.
+    /// Poses to fuse at, or to polish, instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Where tracking computes.
     pub pool: ThreadPool,
@@ -60,6 +68,8 @@ pub struct FusionSummary {
     pub n_lost: u64,
     /// How often a lost camera was found in another place than it was lost at.
     pub n_relocalised: u64,
+    /// Frames fused at their given pose although it was to be polished.
+    pub n_unpolished: u64,
     /// Frames without depth.
     pub n_without_depth: u64,
     /// When tracking was lost.
@@ -99,6 +109,8 @@ struct FusionStage {
     correction: DepthCorrection,
     selector: Option<SnapshotSelector>,
     poses: Option<GivenPoses>,
+    /// Whether given poses are polished.
+    polish: bool,
     pool: ThreadPool,
     status: StatusSlot,
     tracked: Sender<Tracked>,
@@ -107,6 +119,8 @@ struct FusionStage {
     trajectory: Vec<(f64, Pose)>,
     last_depth: Option<Image<f32>>,
     had_depth: bool,
+    /// Of the frame that was tracked last: see [`Fit::fitness`](crate::fusion::Fit::fitness).
+    fitness: Option<f64>,
     correction_clock: StageClock,
     revision_clock: StageClock,
     fusion_clock: StageClock,
@@ -118,9 +132,14 @@ impl FusionStage {
         let camera = CameraModel::new(setup.info.intrinsics);
         let noise = DepthNoise::of_sensor(setup.info.sensor);
         FusionStage {
-            fusion: setup
-                .pool
-                .install(|| Fusion::new(camera, noise, setup.fusion)),
+            polish: setup.fusion.polish.enabled,
+            fusion: setup.pool.install(|| {
+                let fusion = Fusion::new(camera, noise, setup.fusion);
+                match setup.infrared {
+                    Some(optics) => fusion.with_infrared(camera, optics),
+                    None => fusion,
+                }
+            }),
             selector: SnapshotSelector::new(&setup.info, setup.snapshot),
             correction: setup.correction,
             poses: setup.poses,
@@ -131,6 +150,7 @@ impl FusionStage {
             trajectory: Vec::new(),
             last_depth: None,
             had_depth: true,
+            fitness: None,
             correction_clock: StageClock::new("multipath"),
             revision_clock: StageClock::new("fusing again with corrected depth"),
             fusion_clock: StageClock::new("tracking and fusion"),
@@ -183,10 +203,14 @@ impl FusionStage {
             Some(poses) => Some(poses.at(time_secs)?),
             None => None,
         };
-        let (fusion, pool) = (&mut self.fusion, &self.pool);
+        if let (Some(ir), None) = (&frame.ir, &given) {
+            self.fusion.see(ir);
+        }
+        let (fusion, pool, polish) = (&mut self.fusion, &self.pool, self.polish);
         let outcome = self.fusion_clock.time(|| {
             pool.install(|| match given {
-                Some(world_from_camera) => fusion.fuse_at(depth, time_secs, &world_from_camera),
+                Some(pose) if polish => fusion.fuse_near(depth, time_secs, &pose),
+                Some(pose) => fusion.fuse_at(depth, time_secs, &pose),
                 None => fusion.fuse(depth, time_secs),
             })
         });
@@ -196,8 +220,12 @@ impl FusionStage {
     fn account(&mut self, frame: &Frame, outcome: &TrackingOutcome) {
         match outcome {
             TrackingOutcome::Tracked {
-                world_from_camera, ..
-            } => self.found(frame, world_from_camera),
+                world_from_camera,
+                fit,
+            } => {
+                self.found(frame, world_from_camera);
+                self.note_fitness(frame, fit.map(|fit| fit.fitness));
+            }
             TrackingOutcome::NoDepth => {
                 self.summary.n_without_depth += 1;
                 if std::mem::replace(&mut self.had_depth, false) {
@@ -224,8 +252,21 @@ impl FusionStage {
         self.last_depth.clone_from(&frame.depth);
     }
 
+    /// Tells when the camera is about to be lost, once each time.
+    fn note_fitness(&mut self, frame: &Frame, fitness: Option<f64>) {
+        let is_weak = |fitness: Option<f64>| fitness.is_some_and(|fitness| fitness < WEAK_FITNESS);
+        let was_weak = is_weak(std::mem::replace(&mut self.fitness, fitness));
+        if let Some(fitness) = fitness
+            && is_weak(self.fitness)
+            && !was_weak
+        {
+            self.tell(frame, EventKind::Weak { fitness });
+        }
+    }
+
     fn lost(&mut self, frame: &Frame, reason: String) {
         self.had_depth = true;
+        self.fitness = Some(0.0);
         self.summary.n_lost += 1;
         let time_secs = frame.device_time_secs;
         let is_new = self
@@ -269,6 +310,7 @@ impl FusionStage {
             status.n_fused = summary.n_fused;
             status.n_lost = summary.n_lost;
             status.is_lost = summary.losses.is_lost();
+            status.fitness = self.fitness;
             status.n_snapshots = n_snapshots;
         });
     }
@@ -291,6 +333,7 @@ impl FusionStage {
         let mut closing_clock = StageClock::new("loop closing");
         let mut meshing_clock = StageClock::new("mesh extraction");
         self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
+        self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
         if self.summary.n_fused > 0 {
             self.status.update(|status| status.phase = Phase::Meshing);
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);

@@ -35,17 +35,18 @@ pub use given_poses::GivenPoses;
 pub use handle::{Ending, Handle, Outcome, Watch};
 pub use output_folder::{OutputFolder, OutputFolderError};
 pub use status::{Phase, Status};
+pub use timing::peak_memory_bytes;
 
 use crate::{
     capture::{CaptureParams, IrOffset, Recorder},
-    fusion::FusionParams,
+    fusion::{FusionParams, InfraredOptics},
     multipath::MultipathParams,
-    refine::{RefineParams, Roi},
+    refine::{ObjectParams, RefineParams, Roi},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
 use deliver::Outbox;
-use depth_camera::{CameraInfo, DepthCamera};
+use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use depth_correction::DepthCorrection;
 use device_stage::DeviceSetup;
 use edges::DropCounts;
@@ -73,6 +74,8 @@ pub struct PipelineParams {
     pub fusion: FusionParams,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
+    /// Which part of the scan becomes meshes.
+    pub object: ObjectParams,
     /// Refinement; `None` to fuse only.
     pub refine: Option<RefineParams>,
     /// Response, flat field and noise of the camera's IR.
@@ -81,7 +84,7 @@ pub struct PipelineParams {
     pub calibration_source: String,
     /// The object's box in the world frame; without one the object is found.
     pub roi: Option<Roi>,
-    /// Poses to fuse at instead of tracking.
+    /// Poses to fuse at, or to polish, instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Threads of each of the two pools.
     pub n_threads: NonZeroUsize,
@@ -237,6 +240,7 @@ fn fusion_setup(
     Ok(FusionSetup {
         info: info.clone(),
         fusion: params.fusion.clone(),
+        infrared: infrared_optics(&params.fusion, &params.calibration, info),
         snapshot: params.snapshot.clone(),
         correction: DepthCorrection::new(
             info,
@@ -250,6 +254,27 @@ fn fusion_setup(
     })
 }
 
+/// What tracking has to know of the infrared images; `None` where those that come with depth show the projector's speckle.
+pub fn infrared_optics(
+    fusion: &FusionParams,
+    calibration: &Calibration,
+    info: &CameraInfo,
+) -> Option<InfraredOptics> {
+    let (Sensor::Kinect2, Some(full_scale), Some(light), true) = (
+        info.sensor,
+        info.ir_full_scale,
+        info.light,
+        fusion.use_infrared,
+    ) else {
+        return None;
+    };
+    Some(InfraredOptics {
+        light: calibration.light.near_light(&light),
+        calibration: calibration.clone(),
+        full_scale,
+    })
+}
+
 fn refine_setup(
     params: &PipelineParams,
     info: &CameraInfo,
@@ -257,6 +282,7 @@ fn refine_setup(
 ) -> Result<RefineSetup, ThreadPoolBuildError> {
     Ok(RefineSetup {
         info: info.clone(),
+        object: params.object.clone(),
         refine: params.refine.clone(),
         calibration: params.calibration.clone(),
         roi: params.roi,

@@ -7,9 +7,9 @@ use super::{
     timing::StageClock,
 };
 use crate::{
-    export::StageTiming,
-    geometry::{CameraModel, RayGrid, TriMesh},
-    refine::{Optics, RefineParams, Refinement, Roi, refine, select_object, select_roi},
+    export::{BaseMesh, StageTiming},
+    geometry::{CameraModel, RayGrid, TriMesh, close_holes},
+    refine::{ObjectParams, Optics, RefineParams, Refinement, Roi, refine, select_roi},
     shading::Calibration,
     snapshot::{ShadingSnapshot, SnapshotSelection},
 };
@@ -26,7 +26,9 @@ pub struct RefineSetup {
     pub refine: Option<RefineParams>,
     /// Response, flat field and noise of the camera's IR.
     pub calibration: Calibration,
-    /// The object's box; without one the object is found.
+    /// Which part of the scan becomes meshes.
+    pub object: ObjectParams,
+    /// The box of what is refined; without one the object is taken.
     pub roi: Option<Roi>,
     /// Where refinement computes.
     pub pool: ThreadPool,
@@ -39,6 +41,10 @@ pub struct RefineSetup {
 /// What became of the scan.
 #[derive(Debug, Default)]
 pub struct RefineSummary {
+    /// The base mesh as it was delivered, but for its path.
+    pub base_mesh: Option<BaseMesh>,
+    /// Why the base mesh was delivered whole although the object alone was asked for.
+    pub not_cropped_reason: Option<String>,
     /// The part of the base mesh that is the object.
     pub object: Option<TriMesh>,
     /// The refined surface.
@@ -65,10 +71,24 @@ pub fn run(
     let mut refine_clock = StageClock::new("refinement");
 
     // The base mesh first: whatever happens later, it is there.
-    export_clock.time(|| outbox.base_mesh(&scan));
+    let find = || setup.pool.install(|| object_of(setup, &scan));
+    if setup.object.crop.is_for_delivery() {
+        match object_clock.time(find) {
+            Ok(object) => summary.object = Some(object),
+            Err(reason) => summary.not_cropped_reason = Some(reason),
+        }
+    }
+    let base = summary.object.as_ref().unwrap_or(&scan.base);
+    summary.base_mesh = Some(export_clock.time(|| deliver_base(setup, base, outbox)));
     let refined = shading_images(setup, &scan).and_then(|snapshots| {
         export_clock.time(|| outbox.snapshots(snapshots, None, &setup.info));
-        let object = object_clock.time(|| setup.pool.install(|| object_of(setup, &scan)))?;
+        if setup.stop.is_stopped() {
+            return Err("the run was stopped before refinement began".to_owned());
+        }
+        let object = match summary.object.take() {
+            Some(object) => object,
+            None => object_clock.time(find)?,
+        };
         let object = summary.object.insert(object);
         setup.status.update(|status| status.phase = Phase::Refining);
         refine_clock.time(|| {
@@ -81,7 +101,10 @@ pub fn run(
         .status
         .update(|status| status.phase = Phase::Exporting);
     match refined {
-        Ok(refinement) => {
+        Ok(mut refinement) => {
+            if setup.object.watertight {
+                close(&mut refinement);
+            }
             tracing::info!(
                 faces = refinement.mesh.faces.len(),
                 status = ?refinement.status,
@@ -148,23 +171,46 @@ fn why_none_accepted(selection: &SnapshotSelection) -> String {
     }
 }
 
+/// Writes the base mesh, its holes filled if that is asked for; returns what was written.
+fn deliver_base(setup: &RefineSetup, base: &TriMesh, outbox: &Outbox) -> BaseMesh {
+    let figures = |mesh: &TriMesh| BaseMesh {
+        vertices: mesh.vertices.len(),
+        faces: mesh.faces.len(),
+        area_m2: mesh.area_m2(),
+        ..BaseMesh::default()
+    };
+    if !setup.object.watertight {
+        outbox.base_mesh(base);
+        return figures(base);
+    }
+    let closed = close_holes(base);
+    outbox.base_mesh(&closed.mesh);
+    BaseMesh {
+        n_holes_filled: closed.n_holes,
+        filled_m2: closed.filled_m2,
+        ..figures(&closed.mesh)
+    }
+}
+
+/// Fills the holes of a refined mesh; what fills them has the albedo of its rim.
+fn close(refinement: &mut Refinement) {
+    let closed = close_holes(&refinement.mesh);
+    let albedo = |&vertex: &u32| refinement.albedo[vertex as usize];
+    refinement.albedo = closed.from.iter().map(albedo).collect();
+    refinement.mesh = closed.mesh;
+}
+
 /// The part of the base mesh to refine, or why there is none.
 fn object_of(setup: &RefineSetup, scan: &FusedScan) -> Result<TriMesh, String> {
-    if setup.stop.is_stopped() {
-        return Err("the run was stopped before refinement began".to_owned());
-    }
-    let (object, missing) = match &setup.roi {
-        Some(roi) => (
-            select_roi(&scan.base, roi),
-            "no surface lies in the box given by --roi",
-        ),
-        None => (
-            select_object(&scan.base, &scan.world_from_cameras).0,
-            "no object stands out of the scene; give its box by --roi",
-        ),
+    let object = match &setup.roi {
+        Some(roi) => select_roi(&scan.base, roi),
+        None => {
+            let crop = setup.object.crop;
+            crop.object(&scan.base, &scan.world_from_cameras)?
+        }
     };
     if object.faces.is_empty() {
-        return Err(missing.to_owned());
+        return Err("no surface lies in the box given by --roi".to_owned());
     }
     tracing::info!(
         faces = object.faces.len(),

@@ -52,7 +52,6 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
     let Endings {
         fusion, refined, ..
     } = endings;
-    let base = fusion.scan.as_ref().map(|scan| &scan.base);
     let path = |name: &str| subject.folder.join(name).display().to_string();
     let refined_mesh = refined.refinement.as_ref().map(|refinement| {
         let snapshots = fusion.scan.iter().flat_map(|scan| &scan.snapshots);
@@ -72,14 +71,16 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
         tracking: Tracking {
             path_length_m: fusion.path_length_m,
             n_relocalised: fusion.n_relocalised,
+            n_unpolished: fusion.n_unpolished,
             lost_spans: fusion.losses.spans().to_vec(),
         },
-        base_mesh: base.map_or_else(BaseMesh::default, |mesh| BaseMesh {
-            vertices: mesh.vertices.len(),
-            faces: mesh.faces.len(),
-            area_m2: mesh.area_m2(),
-            path: path(BASE_PLY),
-        }),
+        base_mesh: match &refined.base_mesh {
+            Some(mesh) => BaseMesh {
+                path: path(BASE_PLY),
+                ..mesh.clone()
+            },
+            None => BaseMesh::default(),
+        },
         refined_mesh,
         not_refined_reason: refined.not_refined_reason.clone(),
         warnings,
@@ -151,7 +152,16 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
             "the disk was too slow: {unrecorded} frames were not recorded, {without_ir} without infrared"
         ));
     }
+    let n_unpolished = endings.fusion.n_unpolished;
+    if n_unpolished > 0 {
+        warnings.push(format!(
+            "{n_unpolished} frames were fused at their given pose as it is: no pose within the bounds of fusion.polish fits \
+             the model"
+        ));
+    }
     warnings.extend(endings.fusion.refusal.clone());
+    let whole = endings.refined.not_cropped_reason.as_ref();
+    warnings.extend(whole.map(|reason| format!("base.ply is of the whole scene: {reason}")));
     warnings.extend_from_slice(&account.failures);
     warnings
 }

@@ -34,6 +34,8 @@ pub struct Status {
     pub n_lost: u64,
     /// Whether tracking is lost now.
     pub is_lost: bool,
+    /// How far the last frame was from being lost, 0 to 1; `None` where nothing was tracked, as at given poses.
+    pub fitness: Option<f64>,
     /// Shading images so far.
     pub n_snapshots: usize,
     /// Outer rounds of refinement begun, of how many.

@@ -10,6 +10,7 @@
 mod albedo;
 mod alignment;
 mod couplings;
+mod crop;
 mod energy;
 mod gain_field;
 mod mixture;
@@ -27,6 +28,7 @@ mod tests;
 mod view;
 
 pub use alignment::AlignmentParams;
+pub use crop::{Crop, ObjectParams};
 pub use object::{Plane, Roi, select_object, select_roi};
 pub use params::RefineParams;
 pub use solver::{Iteration, RefineStatus};

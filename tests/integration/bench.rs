@@ -41,6 +41,15 @@ fn every_step_is_timed_and_the_path_scored_where_it_is_known() {
     for key in ["frame_cpu_ms", "frame_wall_ms", "fps", "model_bytes"] {
         assert!(measured[key].as_f64().unwrap() > 0.0, "{key}");
     }
+    assert!(
+        measured["peak_memory_bytes"].as_u64().unwrap()
+            > measured["model_bytes"].as_u64().unwrap() / 2
+    );
+    let least = measured["fitness"]["least"].as_f64().unwrap();
+    assert!(least > 0.3 && least <= measured["fitness"]["median"].as_f64().unwrap());
+    for key in ["cpu_ms", "wall_ms", "patches"] {
+        assert!(measured["live_mesh"][key].is_number(), "{key}");
+    }
     for key in ["vertices", "faces", "cpu_ms", "wall_ms"] {
         assert!(measured["mesh"][key].is_number(), "{key}");
     }

@@ -10,7 +10,7 @@ use relief::{
     geometry::motion_between,
     multipath::MultipathParams,
     pipeline::{Ending, Outcome, OutputFolder, Pipeline, PipelineParams, WhenFull},
-    refine::RefineParams,
+    refine::{ObjectParams, RefineParams},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
@@ -29,6 +29,7 @@ fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
             ..FusionParams::default()
         },
         snapshot: SnapshotParams::default(),
+        object: ObjectParams::default(),
         refine: Some(RefineParams {
             edge_length_m: 0.003,
             n_rounds: 2,

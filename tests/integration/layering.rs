@@ -12,7 +12,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("geometry", &[]),
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
-    ("fusion", &["geometry"]),
+    ("fusion", &["geometry", "shading"]),
     ("multipath", &["geometry", "shading", "fusion"]),
     ("snapshot", &["geometry", "shading", "fusion"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),

@@ -8,6 +8,7 @@ mod end_to_end;
 mod bad_input;
 mod bench;
 mod calibrate;
+mod delivery;
 mod signals;
 
 mod support;

@@ -17,9 +17,11 @@ mod noise;
 mod optics;
 mod render;
 mod sensor;
+mod texture;
 
 pub use infrared::Infrared;
 pub use scene::{Scene, Shape, Solid};
+pub use texture::Texture;
 pub use trajectory::{Orbit, Trajectory, look_at};
 
 use std::time::{Duration, Instant};

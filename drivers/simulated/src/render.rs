@@ -140,7 +140,7 @@ impl View<'_> {
         let hit = self.scene.trace(&self.eye_world, &direction, FAR_M)?;
         let point = self.eye_world + direction * hit.distance;
         let normal = self.scene.normal_of(hit.solid, &point);
-        let albedo = self.scene.albedo_of(hit.solid);
+        let albedo = self.scene.albedo_of(hit.solid, &point);
         let cos_axis = 1.0 / direction.norm();
 
         let to_light = self.light_world - point;

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use crate::medallion;
+use crate::{medallion, texture::Texture};
 
 /// The part of a signed distance that a ray advances at a time: relief makes it fall by up to 1.17 a metre.
 const STEP_SHARE: f64 = 0.85;
@@ -111,11 +111,12 @@ fn rounded_box(p: &Vector3<f64>, half_size: &[f64; 3], radius: f64) -> f64 {
     q.sup(&Vector3::zeros()).norm() + q.max().min(0.0) - radius
 }
 
-/// A shape somewhere in the world, of one albedo.
+/// A shape somewhere in the world, of one albedo or with a pattern.
 #[derive(Clone, Debug)]
 pub struct Solid {
     shape: Shape,
     albedo: f64,
+    texture: Option<Texture>,
     world_from_solid: Isometry3<f64>,
     /// The rotation of the inverse pose: a matrix turns a vector faster than a quaternion.
     solid_from_world: Matrix3<f64>,
@@ -134,12 +135,26 @@ impl Solid {
         Solid {
             shape,
             albedo,
+            texture: None,
             world_from_solid,
             solid_from_world: rotation.matrix().transpose(),
             bounds,
             centre: centre.coords,
             radius: (bounds[1] - bounds[0]).norm() / 2.0 + 1e-6,
         }
+    }
+
+    /// The same with a pattern about its albedo.
+    pub fn with_texture(self, texture: Texture) -> Self {
+        Solid {
+            texture: Some(texture),
+            ..self
+        }
+    }
+
+    fn albedo(&self, point_world: &Point3<f64>) -> f64 {
+        let factor = |texture: Texture| texture.factor(&self.to_local(point_world));
+        self.albedo * self.texture.map_or(1.0, factor)
     }
 
     fn to_local(&self, point_world: &Point3<f64>) -> Vector3<f64> {
@@ -292,6 +307,21 @@ impl Scene {
         Scene::with_props(Solid::new(shape, pose, 0.75))
     }
 
+    /// A printed wall without end: depth tells nothing of a motion along it.
+    pub fn printed_wall() -> Self {
+        let wall = Shape::Table {
+            half_size: [3.0, 3.0],
+        };
+        let texture = Texture {
+            contrast: 0.6,
+            wavelength: 0.09,
+        };
+        Scene::new(
+            vec![Solid::new(wall, Isometry3::identity(), 0.5).with_texture(texture)],
+            0,
+        )
+    }
+
     /// An object on a table between boxes: they tell a tracker where it is when the object alone would not.
     fn with_props(object: Solid) -> Self {
         let table = Shape::Table {
@@ -329,7 +359,7 @@ impl Scene {
 
     /// IR reflectance of the surface nearest to a point.
     pub fn albedo(&self, point_world: &Point3<f64>) -> f64 {
-        self.solids[self.nearest(point_world)].albedo
+        self.solids[self.nearest(point_world)].albedo(point_world)
     }
 
     /// Smallest and largest corner of a box about the object, world frame.
@@ -371,8 +401,8 @@ impl Scene {
             .any(|solid| solid.intersect(&from.coords, &direction, 1.0).is_some())
     }
 
-    pub(crate) fn albedo_of(&self, solid: usize) -> f64 {
-        self.solids[solid].albedo
+    pub(crate) fn albedo_of(&self, solid: usize, point_world: &Point3<f64>) -> f64 {
+        self.solids[solid].albedo(point_world)
     }
 
     pub(crate) fn normal_of(&self, solid: usize, point_world: &Point3<f64>) -> Vector3<f64> {

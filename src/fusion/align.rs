@@ -1,0 +1,75 @@
+//! One frame against the model: coarsely to the raycast, finely to the distances, and where these let it slide to the images.
+
+use super::degeneracy::Degeneracy;
+use super::eye::Eye;
+use super::infrared::Infrared;
+use super::normal_equations::NormalEquations;
+use super::pyramid::{Level, N_REDUCED};
+use super::volume::TsdfVolume;
+use super::{Fit, FusionParams, FusionStep, MODEL_LEVEL, OnStep, gates, icp, sdf_alignment};
+use crate::geometry::Pose;
+
+/// Levers this long weigh angles against lengths in [`Fit::conditioning`], metres: an object at arm's length.
+pub const SIZE_M: f64 = 0.5;
+
+/// A frame as it was aligned.
+pub struct AlignedPose {
+    /// World from camera.
+    pub pose: Pose,
+    /// What the signed distances say there.
+    pub equations: NormalEquations,
+    /// As of [`Fit::conditioning`].
+    pub conditioning: f64,
+}
+
+/// Aligns the frame in hand to the raycast model, then to the signed distances, and where these let it slide to the infrared
+/// images; `None` where nothing matches at all.
+pub fn align(
+    eye: &Eye,
+    model: &icp::CastModel,
+    volume: &TsdfVolume,
+    guess: &Pose,
+    params: &FusionParams,
+    infrared: Option<&Infrared>,
+    on_step: &mut OnStep,
+) -> Option<(Pose, Fit)> {
+    let (arch, noise, icp) = (eye.arch, &eye.noise, &params.icp);
+    let pose = icp::align(arch, &eye.frame, model, guess, noise, icp)?;
+    on_step(FusionStep::Icp);
+    let levels = &eye.frame.reduced;
+    let (pose, equations) =
+        sdf_alignment::align(arch, levels, volume, &pose, noise, icp.sdf_iterations)?;
+    let degeneracy = Degeneracy::of(shape_level(levels), noise, &pose)?;
+    let aligned = AlignedPose {
+        pose,
+        conditioning: equations.conditioning(SIZE_M),
+        equations,
+    };
+    let held = infrared.and_then(|images| images.hold(eye, volume, &degeneracy, &aligned));
+    let AlignedPose {
+        pose,
+        equations,
+        conditioning,
+    } = held.unwrap_or(aligned);
+    let level = eye.level(MODEL_LEVEL);
+    let mut fit = Fit {
+        inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
+        rmse_m: equations.rmse_m(),
+        conditioning,
+        see_through_share: icp::see_through_share(level, model, &pose, volume.truncation_m()),
+        held_share: degeneracy.least_share,
+        fitness: 0.0,
+    };
+    fit.fitness = gates::fitness(&fit, &eye.frame, noise, params);
+    on_step(FusionStep::SdfAlignment);
+    Some((pose, fit))
+}
+
+/// The level whose normals tell what the geometry holds: the coarsest that still shows the scene's shape.
+fn shape_level(levels: &[Level; N_REDUCED]) -> &Level {
+    /// A Kinect II has 3392 pixels reduced by 8; with a quarter of that a plaque looks like a wall.
+    const MIN_PIXELS: usize = 2000;
+    let coarse = levels.iter().rev();
+    let mut detailed = coarse.filter(|level| level.depth.len() >= MIN_PIXELS);
+    detailed.next().unwrap_or(&levels[0])
+}

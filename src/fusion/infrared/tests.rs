@@ -1,0 +1,109 @@
+//! Scenes along which geometry alone lets the camera slide, against the simulated camera's truth.
+
+use crate::fusion::tests::small_params;
+use crate::fusion::{DepthNoise, Fit, Fusion, FusionParams, InfraredOptics, TrackingOutcome};
+use crate::geometry::{CameraModel, Motion, motion_between};
+use crate::shading::Calibration;
+use depth_camera::{DepthCamera, Sensor};
+use nalgebra::Point3;
+use simulated::{Infrared, Orbit, Scene, Setup, SimulatedCamera, Trajectory};
+use std::time::Duration;
+
+/// A Kinect II led round a target 0.7 m away, 0.7° a frame.
+fn camera(scene: Scene, target: Point3<f64>, n_frames: usize) -> SimulatedCamera {
+    let reach = 0.35 * n_frames as f64;
+    SimulatedCamera::new(Setup {
+        trajectory: Trajectory::Orbit(Orbit {
+            target,
+            distance_m: 0.7,
+            azimuth_rad: reach.to_radians(),
+            elevation_rad: 55_f64.to_radians(),
+            elevation_swing_rad: 4_f64.to_radians(),
+            frames_per_swing: n_frames as f64,
+            tremor_rad: 0.1_f64.to_radians(),
+        }),
+        scene,
+        sensor: Sensor::Kinect2,
+        infrared: Infrared::of_sensor(Sensor::Kinect2),
+        n_moving_frames: n_frames,
+        shading_frames: Vec::new(),
+        reduction: 1,
+        seed: 4,
+    })
+    .expect("full size")
+}
+
+/// What became of a path.
+struct Walk {
+    n_lost: usize,
+    /// From the true to the tracked pose of the last frame that was tracked.
+    drift: Motion,
+    fits: Vec<Fit>,
+}
+
+fn walk(mut camera: SimulatedCamera, with_infrared: bool) -> Walk {
+    let (info, n_frames) = (camera.info().clone(), camera.n_frames());
+    let model = CameraModel::new(info.intrinsics);
+    let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
+    let stated = info.light.expect("Kinect II");
+    let optics = InfraredOptics {
+        light: calibration.light.near_light(&stated),
+        full_scale: info.ir_full_scale.expect("Kinect II"),
+        calibration,
+    };
+    let params = FusionParams {
+        // The gate for flat scenes is not what is looked at.
+        min_conditioning: 0.0,
+        ..small_params()
+    };
+    let mut fusion = Fusion::new(model, DepthNoise::of_sensor(Sensor::Kinect2), params);
+    if with_infrared {
+        fusion = fusion.with_infrared(model, optics);
+    }
+    let first = camera.true_world_from_camera(0).inverse();
+    let (mut n_lost, mut fits, mut drift) = (0, Vec::new(), None);
+    for index in 0..n_frames {
+        let frame = camera
+            .grab(Duration::ZERO)
+            .expect("no errors")
+            .expect("more");
+        fusion.see(frame.ir.as_ref().expect("Kinect II"));
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        match fusion.fuse(depth, frame.device_time_secs) {
+            TrackingOutcome::Tracked {
+                world_from_camera,
+                fit,
+            } => {
+                let truth = first * camera.true_world_from_camera(index);
+                drift = Some(motion_between(&truth, &world_from_camera));
+                fits.extend(fit);
+            }
+            _ => n_lost += 1,
+        }
+    }
+    Walk {
+        n_lost,
+        drift: drift.expect("the first frame is the world"),
+        fits,
+    }
+}
+
+#[test]
+fn a_printed_wall_is_tracked_by_its_print() {
+    let scene = || camera(Scene::printed_wall(), Point3::origin(), 24);
+    let (bare, held) = (walk(scene(), false), walk(scene(), true));
+    assert_eq!((held.n_lost, held.fits.len()), (0, 23));
+    // The camera goes 17° and 120 mm; depth alone knows nothing of the part along the wall.
+    assert!(bare.drift.translation_m > 0.03, "{:?}", bare.drift);
+    assert!(held.drift.translation_m < 0.003, "{:?}", held.drift);
+    assert!(held.drift.rotation_rad < 0.003, "{:?}", held.drift);
+}
+
+#[test]
+fn where_the_geometry_holds_the_camera_no_bit_changes() {
+    let plaque = || SimulatedCamera::kinect2_plaque(8, 3);
+    let (bare, held) = (walk(plaque(), false), walk(plaque(), true));
+    assert_eq!(bare.fits.len(), 7);
+    assert_eq!(bare.fits, held.fits);
+    assert_eq!(bare.drift, held.drift);
+}

@@ -1,0 +1,115 @@
+//! Polishing poses that were measured elsewhere, by a rig, a turntable or a robot, on what is already fused.
+//!
+//! The given pose is the start of the frame's alignment, and what the result is held against: one that goes farther than
+//! such poses err is a slide or a false fit, and the given pose is the better one. Frames do not drift off with the model,
+//! since each of them is held by its own pose.
+
+use super::{
+    Fit, Fusion, FusionStep, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome, align, gates, icp,
+};
+use crate::geometry::{Pose, motion_between};
+use depth_camera::Image;
+use serde::{Deserialize, Serialize};
+
+/// Whether given poses are polished, and how far they may err.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PolishParams {
+    /// Whether frames are aligned to the model from their given poses; otherwise these are taken as they are.
+    pub enabled: bool,
+    /// A larger turn is not believed, radians. Calibrated arms and turntables err by a few mrad, corners of a board by 10.
+    pub max_rotation_rad: f64,
+    /// A larger move is not believed, metres: the same at half a metre.
+    pub max_translation_m: f64,
+}
+
+impl Default for PolishParams {
+    fn default() -> Self {
+        PolishParams {
+            enabled: false,
+            max_rotation_rad: 0.03,
+            max_translation_m: 0.015,
+        }
+    }
+}
+
+impl PolishParams {
+    /// Checks every value against its bound by `within(key, value, low, high)`.
+    pub(super) fn validate(
+        &self,
+        within: impl Fn(&str, f64, f64, f64) -> Result<(), String>,
+    ) -> Result<(), String> {
+        within("polish.max_rotation_rad", self.max_rotation_rad, 1e-4, 0.5)?;
+        // Beyond the reach of the coarsest alignment nothing is found.
+        within(
+            "polish.max_translation_m",
+            self.max_translation_m,
+            1e-4,
+            0.1,
+        )
+    }
+}
+
+impl Fusion {
+    /// Fuses one depth image (metres, 0 is none) where it lies best on the model near a pose that is known, or at that pose:
+    /// then the outcome's fit is `None`, and the frame is counted in [`Self::n_unpolished`].
+    pub fn fuse_near(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        world_from_camera: &Pose,
+    ) -> TrackingOutcome {
+        if !self.eye.take(depth) {
+            return TrackingOutcome::NoDepth;
+        }
+        let on_step: &mut OnStep = &mut |_: FusionStep| {};
+        let polished = self.polish(world_from_camera, on_step);
+        let (pose, fit) = match polished {
+            Ok((pose, fit)) => (pose, Some(fit)),
+            Err(_) => (*world_from_camera, None),
+        };
+        // Before the first frame there is nothing to lie on.
+        self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 0);
+        self.accept(pose, time_secs, on_step);
+        TrackingOutcome::Tracked {
+            world_from_camera: pose,
+            fit,
+        }
+    }
+
+    /// Frames that were fused at their given pose, because none near it was believed.
+    pub fn n_unpolished(&self) -> usize {
+        self.n_unpolished
+    }
+
+    /// Aligns the frame in hand to the model as seen from its given pose, and judges the result.
+    fn polish(&mut self, given: &Pose, on_step: &mut OnStep) -> Result<(Pose, Fit), LossReason> {
+        let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
+        let nothing = LossReason::FewInliers { inlier_share: 0.0 };
+        // Given views may lie far apart: what the last one saw may not be in this one at all.
+        let map = self.model.as_mut().ok_or(nothing)?;
+        eye.look(MODEL_LEVEL, volume, given, map);
+        let model = icp::CastModel {
+            map,
+            lens: &eye.level(MODEL_LEVEL).lens,
+            world_from_camera: given,
+        };
+        let (pose, fit) =
+            align(eye, &model, volume, given, params, None, on_step).ok_or(nothing)?;
+        gates::judge_fit(&fit, &eye.frame, &eye.noise, params)?;
+        let motion = motion_between(given, &pose);
+        let bound = &params.polish;
+        if motion.rotation_rad > bound.max_rotation_rad
+            || motion.translation_m > bound.max_translation_m
+        {
+            return Err(LossReason::Jump {
+                rotation_rad: motion.rotation_rad,
+                translation_m: motion.translation_m,
+            });
+        }
+        Ok((pose, fit))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! Poses that err, against the simulated camera's truth.
+
+use crate::fusion::tests::{frames, small_params};
+use crate::fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome};
+use crate::geometry::{Motion, Pose, increment, motion_between};
+use depth_camera::Sensor;
+use nalgebra::Vector6;
+
+/// An error of 5 mrad and 4 mm in a direction of its own for each frame, none for the first, which is the world.
+fn perturbed(truth: &[Pose]) -> Vec<Pose> {
+    let mut random = fastrand::Rng::with_seed(7);
+    let mut unit = || {
+        let direction = nalgebra::Vector3::from_fn(|_, _| random.f64() - 0.5);
+        direction.try_normalize(0.0).expect("not zero")
+    };
+    let astray = |(frame, pose): (usize, &Pose)| {
+        let (turn, shift) = (0.005 * unit(), 0.004 * unit());
+        let mut error = Vector6::zeros();
+        if frame > 0 {
+            error.fixed_rows_mut::<3>(0).copy_from(&turn);
+            error.fixed_rows_mut::<3>(3).copy_from(&shift);
+        }
+        // About the camera itself, so that the error is what it is said to be.
+        pose * increment(&error)
+    };
+    truth.iter().enumerate().map(astray).collect()
+}
+
+fn fusion(camera: crate::geometry::CameraModel) -> Fusion {
+    let params = FusionParams {
+        max_rotation_rad_per_s: 100.0,
+        ..small_params()
+    };
+    Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params)
+}
+
+fn rms(motions: impl Iterator<Item = Motion>) -> (f64, f64) {
+    let (mut rotation, mut translation, mut n) = (0.0, 0.0, 0);
+    for motion in motions {
+        rotation += motion.rotation_rad.powi(2);
+        translation += motion.translation_m.powi(2);
+        n += 1;
+    }
+    let mean = |sum: f64| (sum / f64::from(n)).sqrt();
+    (mean(rotation), mean(translation))
+}
+
+#[test]
+fn poses_that_err_are_put_right() {
+    let (frames, truth, camera) = frames(12);
+    let given = perturbed(&truth);
+    let mut fusion = fusion(camera);
+    let polished: Vec<Pose> = frames
+        .iter()
+        .zip(&given)
+        .map(|(frame, pose)| {
+            let depth = frame.depth.as_ref().expect("Kinect II");
+            match fusion.fuse_near(depth, frame.device_time_secs, pose) {
+                TrackingOutcome::Tracked {
+                    world_from_camera, ..
+                } => world_from_camera,
+                other => panic!("{other:?}"),
+            }
+        })
+        .collect();
+    let off = |poses: &[Pose]| {
+        rms(poses
+            .iter()
+            .zip(&truth)
+            .skip(1)
+            .map(|(pose, truth)| motion_between(truth, pose)))
+    };
+    let (before, after) = (off(&given), off(&polished));
+    assert_eq!(fusion.n_unpolished(), 0);
+    assert!((before.0 - 0.005).abs() < 1e-4 && (before.1 - 0.004).abs() < 1e-4);
+    // What tracking itself is off.
+    assert!(after.0 < 0.6 * before.0, "{before:?} {after:?}");
+    assert!(after.1 < 0.4 * before.1, "{before:?} {after:?}");
+}
+
+#[test]
+fn beyond_the_bound_the_given_pose_stands_and_is_counted() {
+    let (frames, truth, camera) = frames(4);
+    let mut fusion = fusion(camera);
+    for (frame, pose) in frames.iter().zip(&truth).take(3) {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        fusion.fuse_near(depth, frame.device_time_secs, pose);
+    }
+    assert_eq!(fusion.n_unpolished(), 0);
+    // 25 mm lie within the reach of the alignment, and beyond the 15 mm that are believed.
+    let astray = truth[3] * increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.025));
+    let depth = frames[3].depth.as_ref().expect("Kinect II");
+    let outcome = fusion.fuse_near(depth, frames[3].device_time_secs, &astray);
+    let as_given = TrackingOutcome::Tracked {
+        world_from_camera: astray,
+        fit: None,
+    };
+    assert_eq!(outcome, as_given);
+    assert_eq!((fusion.n_unpolished(), fusion.n_fused()), (1, 4));
+}

@@ -1,0 +1,193 @@
+//! Which part of a scan is delivered and refined: by default everything and what is found in it, or one object alone.
+
+use super::object::{Roi, select_object, select_roi};
+use crate::geometry::{Pose, TriMesh};
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+
+/// What of a scan becomes meshes.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ObjectParams {
+    /// Which part of the scene is taken.
+    pub crop: Crop,
+    /// Whether the holes of the delivered meshes are filled, each component by itself.
+    pub watertight: bool,
+}
+
+/// Which part of the scene is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Crop {
+    /// The base mesh is of the whole scene; the object is found in it and refined.
+    #[default]
+    Auto,
+    /// The whole scene is delivered and refined.
+    None,
+    /// What stands above the plane that is found under it, alone, is delivered and refined.
+    Object,
+    /// The largest component in a box is delivered and refined: smallest x, y, z, largest x, y, z, world frame, metres.
+    Box([f64; 6]),
+}
+
+impl ObjectParams {
+    /// Checks every value against its bound.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn validate(&self) -> Result<(), String> {
+        match self.crop {
+            Crop::Box(bounds) => Roi::of_bounds(bounds)
+                .map(|_| ())
+                .map_err(|what| format!("object.crop: {what}")),
+            Crop::Auto | Crop::None | Crop::Object => Ok(()),
+        }
+    }
+}
+
+impl Roi {
+    /// A box by its smallest x, y, z and its largest x, y, z, world frame, metres.
+    ///
+    /// # Errors
+    /// Names the axis along which the box is empty, with both bounds.
+    pub fn of_bounds(bounds: [f64; 6]) -> Result<Roi, String> {
+        let [x_min, y_min, z_min, x_max, y_max, z_max] = bounds;
+        for (axis, min, max) in [
+            ("x", x_min, x_max),
+            ("y", y_min, y_max),
+            ("z", z_min, z_max),
+        ] {
+            if !(min.is_finite() && max.is_finite() && min < max) {
+                return Err(format!(
+                    "{axis}min is {min}, must be below {axis}max, {max}"
+                ));
+            }
+        }
+        Ok(Roi {
+            min: Point3::new(x_min, y_min, z_min),
+            max: Point3::new(x_max, y_max, z_max),
+        })
+    }
+}
+
+impl Crop {
+    /// The part of a base mesh that is refined.
+    ///
+    /// # Errors
+    /// Says for the operator why nothing is left.
+    pub fn object(&self, base: &TriMesh, world_from_cameras: &[Pose]) -> Result<TriMesh, String> {
+        let (object, missing) = match self {
+            Crop::None => (base.clone(), "the model has no surface"),
+            Crop::Auto | Crop::Object => (
+                select_object(base, world_from_cameras).0,
+                "no object stands out of the scene; give its box by --roi or --crop",
+            ),
+            Crop::Box(bounds) => (
+                largest_component(&select_roi(base, &Roi::of_bounds(*bounds)?)),
+                "no surface lies in the box given by object.crop",
+            ),
+        };
+        match object.faces.is_empty() {
+            true => Err(missing.to_owned()),
+            false => Ok(object),
+        }
+    }
+
+    /// Whether the base mesh is delivered without what is not the object.
+    pub fn is_for_delivery(&self) -> bool {
+        matches!(self, Crop::Object | Crop::Box(_))
+    }
+}
+
+/// The component of the largest area; empty for an empty mesh.
+fn largest_component(mesh: &TriMesh) -> TriMesh {
+    let (labels, n_components) = mesh.face_components();
+    let mut area_m2 = vec![0.0; n_components];
+    for (face, &label) in labels.iter().enumerate() {
+        area_m2[label as usize] += mesh.face_normal(face).norm();
+    }
+    let largest = (0..n_components).max_by(|&a, &b| area_m2[a].total_cmp(&area_m2[b]));
+    mesh.filter_faces(|face| Some(labels[face] as usize) == largest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    /// A square of 2·side² faces in the plane z = `z`, its corner at (`x`, 0).
+    fn square(x: f64, z: f64, side: usize) -> TriMesh {
+        let step = 0.01;
+        let mut mesh = TriMesh::default();
+        for row in 0..=side {
+            for column in 0..=side {
+                let (u, v) = (column as f64 * step, row as f64 * step);
+                mesh.vertices.push(Point3::new(x + u, v, z));
+            }
+        }
+        let at = |row: usize, column: usize| (row * (side + 1) + column) as u32;
+        for row in 0..side {
+            for column in 0..side {
+                let [a, b] = [at(row, column), at(row, column + 1)];
+                let [c, d] = [at(row + 1, column), at(row + 1, column + 1)];
+                mesh.faces.extend([[a, c, b], [b, c, d]]);
+            }
+        }
+        mesh
+    }
+
+    fn together(meshes: &[TriMesh]) -> TriMesh {
+        let mut all = TriMesh::default();
+        for mesh in meshes {
+            let first = all.vertices.len() as u32;
+            all.vertices.extend_from_slice(&mesh.vertices);
+            let faces = mesh.faces.iter();
+            all.faces.extend(faces.map(|face| face.map(|v| v + first)));
+        }
+        all
+    }
+
+    #[test]
+    fn a_box_gives_its_largest_component() {
+        let (large, small) = (square(0.0, 0.5, 20), square(0.5, 0.5, 5));
+        let scene = together(&[large.clone(), small.clone()]);
+        let within = |bounds| Crop::Box(bounds).object(&scene, &[]);
+        let all = [-1.0, -1.0, 0.0, 1.0, 1.0, 1.0];
+        assert_eq!(within(all).unwrap().faces.len(), large.faces.len());
+        // Of the large square only a strip lies in the box: now the small one is the larger.
+        let right = [0.185, -1.0, 0.0, 1.0, 0.06, 1.0];
+        assert_eq!(within(right).unwrap(), small);
+        let none = within([2.0, 0.0, 0.0, 3.0, 1.0, 1.0]).unwrap_err();
+        assert!(none.contains("no surface lies in the box"), "{none}");
+    }
+
+    #[test]
+    fn the_object_stands_above_the_plane_and_none_takes_everything() {
+        // A table seen from above, and a smaller square 50 mm nearer to the camera.
+        let (table, top) = (square(-0.2, 0.6, 40), square(-0.1, 0.55, 20));
+        let scene = together(&[table, top.clone()]);
+        let above = Pose::translation(0.0, 0.1, 0.0);
+        let object = Crop::Object.object(&scene, &[above]).unwrap();
+        assert_eq!(object.faces.len(), top.faces.len());
+        let mean = object
+            .vertices
+            .iter()
+            .map(|p| p.coords)
+            .sum::<Vector3<f64>>();
+        assert!((mean.z / object.vertices.len() as f64 - 0.55).abs() < 1e-9);
+        assert_eq!(Crop::None.object(&scene, &[above]).unwrap(), scene);
+        assert!(Crop::None.object(&TriMesh::default(), &[]).is_err());
+    }
+
+    #[test]
+    fn bad_boxes_are_named() {
+        let bad = ObjectParams {
+            crop: Crop::Box([0.0, 0.0, 0.5, 1.0, 1.0, 0.5]),
+            ..ObjectParams::default()
+        };
+        assert_eq!(
+            bad.validate().unwrap_err(),
+            "object.crop: zmin is 0.5, must be below zmax, 0.5"
+        );
+    }
+}
