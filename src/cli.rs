@@ -33,6 +33,8 @@ pub struct Cli {
 pub enum Command {
     /// Fuse and refine a recorded session
     Replay(Box<ReplayArgs>),
+    /// Refine the base mesh of an output folder again
+    Refine(RefineArgs),
     /// Record a session of a simulated sensor
     Simulate(SimulateArgs),
     /// Fuse and refine the recording that comes with the program
@@ -49,6 +51,7 @@ impl Command {
     pub fn prints_json(&self) -> bool {
         match self {
             Command::Replay(args) => args.json,
+            Command::Refine(args) => args.json,
             Command::Bench(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
             Command::Simulate(_) | Command::Demo(_) => false,
@@ -118,6 +121,38 @@ impl ReplayArgs {
             max_snapshots: self.max_snapshots,
         }
     }
+}
+
+/// `relief refine`.
+#[derive(Debug, Args)]
+pub struct RefineArgs {
+    /// Output folder of `relief replay`: base.ply, trajectory.txt and snapshots are read
+    pub output: PathBuf,
+    /// Folder for the outputs, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Box of the object in the world frame, metres; found without it
+    #[arg(
+        long,
+        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+        allow_hyphen_values = true
+    )]
+    pub roi: Option<RoiArg>,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Threads; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Print one JSON object on standard output, and no progress
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `relief simulate`.

@@ -27,6 +27,7 @@ fn main() -> ExitCode {
 
     let ran = match &cli.command {
         Command::Replay(args) => run::replay(args, &progress),
+        Command::Refine(args) => run::refine(args, &progress),
         Command::Simulate(args) => run::simulate(args),
         Command::Demo(args) => run::demo(args, &progress),
         Command::Bench(args) => bench::bench(args),

@@ -18,6 +18,7 @@ mod trajectory;
 mod material;
 mod picture;
 mod png;
+mod snapshot_reader;
 mod snapshots;
 mod views;
 
@@ -48,12 +49,15 @@ pub use material::PhongParams;
 pub use picture::phong;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
-pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba};
+pub use png::{
+    decode_png_grey16, encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba,
+};
 pub use report::{
     AlbedoShare, BaseMesh, FrameCounts, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
     RefinedView, Report, StageTiming, Tracking, write_report_json,
 };
 pub use report_html::{ReportPictures, write_report_html};
+pub use snapshot_reader::{StoredSnapshot, read_snapshots};
 pub use snapshots::{SnapshotRecord, write_snapshots};
 pub use trajectory::{read_trajectory, write_trajectory};
 pub use views::{MeanView, PictureSize, PictureView, three_views};
