@@ -53,7 +53,7 @@ pub use png::{
     decode_png_grey16, encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba,
 };
 pub use report::{
-    AlbedoShare, BaseMesh, FrameCounts, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
+    AlbedoShare, BaseMesh, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
     RefinedView, Report, StageTiming, Tracking, write_report_json,
 };
 pub use report_html::{ReportPictures, write_report_html};
