@@ -23,6 +23,7 @@ mod snapshots;
 mod views;
 
 mod chart;
+mod evaluation;
 mod page;
 mod report;
 mod report_format;
@@ -44,6 +45,9 @@ pub use calibration_page::{
     ResponseFigure, write_calibration_page,
 };
 pub use error::ExportError;
+pub use evaluation::{
+    Ablation, EvaluationPictures, EvaluationReport, LeftOutView, write_evaluation,
+};
 pub use glb::write_glb;
 pub use material::PhongParams;
 pub use picture::phong;

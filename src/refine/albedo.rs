@@ -28,8 +28,6 @@ pub struct Albedo {
     pub spread: f64,
 }
 
-/// Most groups.
-const MAX_GROUPS: usize = 4;
 /// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
 /// Cost of each neighbour in another group, in units of the mixture's negative log likelihood.
@@ -42,11 +40,12 @@ impl Albedo {
         mesh: &TriMesh,
         neighbours: &[[u32; 3]],
         observations: &Observations,
+        max_groups: usize,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
         let ratios = ratios(mesh, observations, current);
         let logs: Vec<f64> = ratios.iter().map(|ratio| log_albedo(*ratio)).collect();
-        let mixture = Mixture::fit(&logs, MAX_GROUPS, MIN_LOG_SIGMA)?;
+        let mixture = Mixture::fit(&logs, max_groups, MIN_LOG_SIGMA)?;
         let labels = smooth_labels(&logs, neighbours, &mixture);
         Some(Self::of_labels(labels, mixture.len(), &ratios))
     }

@@ -61,6 +61,18 @@ pub enum RefineError {
         /// Root mean square of observed less rendered intensity, share of the mean.
         rmse: f64,
     },
+    /// Brightness changes over the images as the light model does not know it.
+    #[error(
+        "the images contradict the calibration, brightness differs slowly by {:.1} % from what the light would give (at most \
+         {:.1} %, refine.trust.max_slow_gain): gamma or light is wrong; the base mesh stands",
+        100.0 * slow_gain, 100.0 * limit
+    )]
+    SlowlyContradicted {
+        /// Root mean square of the gains less 1.
+        slow_gain: f64,
+        /// Its bound.
+        limit: f64,
+    },
     /// Images that refinement did not use fit the base surface better.
     #[error(
         "the refined surface explains the images held out from it worse than the base surface, which stands: {:.1} % for \

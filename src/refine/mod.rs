@@ -132,6 +132,10 @@ pub fn refine(
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));
     }
+    let (slow_gain, limit) = (judgement.overall.slow_gain, params.trust.max_slow_gain);
+    if slow_gain > limit {
+        return Err(RefineError::SlowlyContradicted { slow_gain, limit });
+    }
     if !status.is_final() {
         let last = params.n_rounds..params.n_rounds + 1;
         status = rounds.run(last, all, &mut state, &mut accepted);
@@ -176,24 +180,31 @@ pub fn cross_validate(
 ) -> Result<Vec<JudgedView>, RefineError> {
     assert!(n_folds > 1, "{n_folds} folds, must be at least 2");
     let prepared = Preparation::new(subject, params)?;
-    let rounds = prepared.rounds();
     let n_views = subject.snapshots.len();
-    let all = first_views(n_views);
     let mut judged = Vec::with_capacity(n_views);
     for fold in 0..n_folds.min(n_views) {
-        let held_out = every(fold, n_folds, n_views);
-        let base = prepared.base(subject, all & !held_out)?;
-        let mut state = base.clone();
-        rounds.run(0..params.n_rounds, all & !held_out, &mut state, &mut |_| {
-            true
-        });
-        judged.extend(judge(&rounds, &base, &mut state, held_out));
+        let judges = every(fold, n_folds, n_views);
+        judged.extend(prepared.validate(subject, first_views(n_views) & !judges, judges)?);
         if !done(fold) {
             break;
         }
     }
     judged.sort_by_key(|view| view.index);
     Ok(judged)
+}
+
+/// Refines from some of the views, given by their numbers, and lets others judge.
+///
+/// # Errors
+/// As for [`cross_validate`].
+pub fn validate(
+    subject: &Subject,
+    params: &RefineParams,
+    learning: &[usize],
+    judges: &[usize],
+) -> Result<Vec<JudgedView>, RefineError> {
+    let set = |views: &[usize]| views.iter().fold(0, |set, view| set | 1 << view);
+    Preparation::new(subject, params)?.validate(subject, set(learning), set(judges))
 }
 
 /// How every view fits the base surface at its tracked pose, and the refined one.

@@ -5,6 +5,7 @@ use super::albedo::face_neighbours;
 use super::couplings::Couplings;
 use super::energy::Surface;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
+use super::held_out::{JudgedView, judge};
 use super::params::RefineParams;
 use super::patches::{self, Patch};
 use super::remesh::{RemeshParams, remesh};
@@ -123,6 +124,22 @@ impl Preparation {
             views: self.views.clone(),
             albedo: albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?,
         })
+    }
+
+    /// Refines from a set of views and lets another judge.
+    ///
+    /// # Errors
+    /// If none of the views learnt from sees the base surface.
+    pub fn validate(
+        &self,
+        subject: &Subject,
+        learning: ViewSet,
+        judges: ViewSet,
+    ) -> Result<Vec<JudgedView>, RefineError> {
+        let (rounds, base) = (self.rounds(), self.base(subject, learning)?);
+        let mut state = base.clone();
+        rounds.run(0..self.params.n_rounds, learning, &mut state, &mut |_| true);
+        Ok(judge(&rounds, &base, &mut state, judges))
     }
 
     /// Mean of the object's vertices, world frame.

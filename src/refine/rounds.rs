@@ -47,16 +47,26 @@ impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
     pub fn first_albedo(&self, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Option<Albedo> {
         let observations = Observations::new(sites, views);
-        let mut albedo = Albedo::estimate(mesh, self.neighbours, &observations, None)?;
+        let mut albedo = self.estimate_albedo(mesh, &observations, None)?;
         for _ in 0..3 {
             let loss = Tukey {
                 scale: observations.residual_scale(mesh, &albedo.by_face),
                 cutoff: CUTOFFS[2],
             };
             let current = Some((&albedo, loss));
-            albedo = Albedo::estimate(mesh, self.neighbours, &observations, current)?;
+            albedo = self.estimate_albedo(mesh, &observations, current)?;
         }
         Some(albedo)
+    }
+
+    fn estimate_albedo(
+        &self,
+        mesh: &TriMesh,
+        observations: &Observations,
+        current: Option<(&Albedo, Tukey)>,
+    ) -> Option<Albedo> {
+        let max_groups = self.params.max_albedos;
+        Albedo::estimate(mesh, self.neighbours, observations, max_groups, current)
     }
 
     /// Runs rounds with a set of views; the others are left as they are. `accepted` is told of each step and returns false
@@ -105,7 +115,7 @@ impl Rounds<'_> {
         let observations = Observations::new(&sites, views);
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
-        if let Some(next) = Albedo::estimate(mesh, self.neighbours, &observations, current) {
+        if let Some(next) = self.estimate_albedo(mesh, &observations, current) {
             *albedo = next;
         }
         let problem = Problem {
