@@ -173,7 +173,7 @@ impl Scan {
                 anyhow::Ok(Ablation {
                     what,
                     figures: figures(None, &overall),
-                    slow_gain: overall.slow_gain,
+                    exponent: overall.exponent,
                 })
             };
         let mut ablations = vec![judged(

@@ -46,8 +46,6 @@ pub struct ImageTrust {
     pub misregistration_px: f64,
     /// Slow differences of brightness over more than this distance on the object are not taken for shading, metres.
     pub gain_cell_m: f64,
-    /// Root mean square of those differences from which on the light model is not believed at all.
-    pub max_slow_gain: f64,
 }
 
 impl Default for ImageTrust {
@@ -56,7 +54,6 @@ impl Default for ImageTrust {
             model_error: 0.01,
             misregistration_px: 0.4,
             gain_cell_m: 0.08,
-            max_slow_gain: 0.1,
         }
     }
 }
