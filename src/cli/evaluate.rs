@@ -173,7 +173,7 @@ impl Scan {
                 anyhow::Ok(Ablation {
                     what,
                     figures: figures(None, &overall),
-                    exponent: overall.exponent,
+                    slow_gain: overall.slow_gain,
                 })
             };
         let mut ablations = vec![judged(

@@ -48,8 +48,8 @@ pub struct Ablation {
     pub what: String,
     /// All judging views together.
     pub figures: LeftOutView,
-    /// Between what exponents of the base mesh's prediction the observed intensity grows; 1 where gamma is right.
-    pub exponent: [f64; 2],
+    /// Root mean square of the gains, less 1, that took up slow differences of brightness.
+    pub slow_gain: f64,
 }
 
 /// What is shown.
@@ -134,12 +134,14 @@ fn markdown(report: &EvaluationReport) -> String {
         line(
             "\n## With something changed\n\nAll judged by the same quarter of the views, none of which was learnt from.\n",
         );
-        line(&format!("| changed | {COLUMNS} exponent |"));
+        line(&format!("| changed | {COLUMNS} slow gain |"));
         line(&format!("|---|{RULE}---|"));
         for ablation in &report.ablations {
-            let [low, high] = ablation.exponent;
-            let row = row(&ablation.what, &ablation.figures);
-            line(&format!("{row} {low:.2} to {high:.2} |"));
+            line(&format!(
+                "{} {:.3} |",
+                row(&ablation.what, &ablation.figures),
+                ablation.slow_gain
+            ));
         }
     }
     line("\n## Pictures\n");
@@ -198,7 +200,7 @@ mod tests {
             ablations: vec![Ablation {
                 what: "3 views".into(),
                 figures: view,
-                exponent: [0.98, 1.03],
+                slow_gain: 0.021,
             }],
             not_refined_reason: None,
             pictures: EvaluationPictures {
@@ -214,7 +216,7 @@ mod tests {
             "{text}"
         );
         assert!(
-            text.contains("| 3 views |") && text.contains(" 0.98 to 1.03 |"),
+            text.contains("| 3 views |") && text.contains(" 0.021 |"),
             "{text}"
         );
         assert!(folder.path().join("images/error-base.png").is_file());

@@ -150,8 +150,8 @@ pub struct HeldOut {
     pub gradient_refined: f64,
     /// What the sensor's noise would leave.
     pub gradient_noise: f64,
-    /// Between what exponents of the base mesh's prediction the observed intensity grows; 1 where gamma is right.
-    pub exponent: [f64; 2],
+    /// Root mean square of the gains, less 1, that took up slow differences of brightness.
+    pub slow_gain: f64,
 }
 
 /// One outer iteration of refinement.

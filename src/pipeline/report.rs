@@ -207,7 +207,7 @@ fn held_out(judgement: &Judgement) -> HeldOut {
         gradient_base: overall.base.gradient,
         gradient_refined: overall.refined.gradient,
         gradient_noise: overall.noise.gradient,
-        exponent: overall.exponent,
+        slow_gain: overall.slow_gain,
     }
 }
 

@@ -6,8 +6,6 @@ use super::held_out::HeldOut;
 /// Above this share of the mean intensity the light model does not explain the images: 0.02 to 0.19 where the calibration
 /// fits, 0.71 on a recording with a foreign calibration and textured albedo.
 pub const MAX_BELIEVABLE_RMSE: f64 = 0.4;
-/// Outside of 1 by more than this the exponent between prediction and observation shows a wrong response.
-pub const MAX_EXPONENT_ERROR: f64 = 0.2;
 /// An object may have this share of edges with more than two faces; arbitrary.
 pub const MAX_NON_MANIFOLD_SHARE: f64 = 0.01;
 
@@ -63,15 +61,17 @@ pub enum RefineError {
         /// Root mean square of observed less rendered intensity, share of the mean.
         rmse: f64,
     },
-    /// Brightness does not grow with the light that arrives.
+    /// Brightness changes over the images as the light model does not know it.
     #[error(
-        "the images contradict the calibration, their intensity grows as the power {:.2} to {:.2} of what the light model \
-         predicts, which must be 1 within {:.0} %: gamma or light is wrong; the base mesh stands",
-        exponent[0], exponent[1], 100.0 * MAX_EXPONENT_ERROR
+        "the images contradict the calibration, brightness differs slowly by {:.1} % from what the light would give (at most \
+         {:.1} %, refine.trust.max_slow_gain): gamma or light is wrong; the base mesh stands",
+        100.0 * slow_gain, 100.0 * limit
     )]
-    WrongExponent {
-        /// Its bounds.
-        exponent: [f64; 2],
+    SlowlyContradicted {
+        /// Root mean square of the gains less 1.
+        slow_gain: f64,
+        /// Its bound.
+        limit: f64,
     },
     /// Images that refinement did not use fit the base surface better.
     #[error(

@@ -82,20 +82,6 @@ fn images_that_the_light_cannot_explain_leave_the_base() {
 }
 
 #[test]
-fn a_wrong_gamma_is_told_and_leaves_the_base() {
-    // Counts of another response: linear^1.74 as the calibration sees it.
-    let result = refine_from(&FLAT.mesh(0.0025), |_, snapshot| {
-        for counts in snapshot.ir_counts.data_mut() {
-            *counts = 65535.0 * (*counts / 65535.0).powf(1.74);
-        }
-    });
-    let Err(RefineError::WrongExponent { exponent }) = result else {
-        panic!("{:?}", result.map(|refined| refined.judgement.overall));
-    };
-    assert!(exponent[0] < 1.74 && exponent[1] > 1.6, "{exponent:?}");
-}
-
-#[test]
 fn saturated_views_are_refused_and_counted() {
     let result = refine_from(&FLAT.mesh(0.0025), |_, snapshot| {
         snapshot.ir_counts.data_mut().fill(65535.0);

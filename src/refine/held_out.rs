@@ -11,6 +11,7 @@ use super::sites::{Sites, ViewSet};
 use super::view::View;
 use crate::geometry::TriMesh;
 use depth_camera::Image;
+use nalgebra::Vector2;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -37,9 +38,8 @@ pub struct HeldOut {
     pub refined: ImageError,
     /// What the sensor's noise alone would leave.
     pub noise: ImageError,
-    /// Between what exponents of the base surface's prediction the observed intensity grows; 1 where gamma is right. The
-    /// regressions of either logarithm on the other, between which the truth lies whatever the noise of each.
-    pub exponent: [f64; 2],
+    /// Root mean square of the gains, less 1, by which slow differences of brightness were taken up on the refined surface.
+    pub slow_gain: f64,
 }
 
 /// What the views that were held out say.
@@ -165,8 +165,7 @@ struct Sums {
     intensity: [f64; 3],
     n_gradients: f64,
     gradient: [f64; 3],
-    /// Sums of the logarithms of prediction and observation, of their squares, and of their product.
-    logs: [f64; 5],
+    slow_gain: f64,
 }
 
 impl Sums {
@@ -189,10 +188,8 @@ impl Sums {
                 };
                 sums.n_pixels += 1.0;
                 sums.observed += observed;
-                let (x, y) = ((observed - base).ln(), observed.ln());
-                for (sum, term) in sums.logs.iter_mut().zip([x, y, x * x, y * y, x * y]) {
-                    *sum += term;
-                }
+                let gain = view.gain * view.gain_field.at(&Vector2::new(u as f64, v as f64));
+                sums.slow_gain += (gain - 1.0).powi(2);
                 for (sum, square) in
                     sums.intensity
                         .iter_mut()
@@ -226,25 +223,12 @@ impl Sums {
         self.n_pixels += other.n_pixels;
         self.observed += other.observed;
         self.n_gradients += other.n_gradients;
-        for k in 0..5 {
-            self.logs[k] += other.logs[k];
-        }
+        self.slow_gain += other.slow_gain;
         for k in 0..3 {
             self.intensity[k] += other.intensity[k];
             self.gradient[k] += other.gradient[k];
         }
         self
-    }
-
-    fn exponent(&self) -> [f64; 2] {
-        let n = self.n_pixels.max(1.0);
-        let [x, y, xx, yy, xy] = self.logs.map(|sum| sum / n);
-        let (of_x, of_y, common) = (xx - x * x, yy - y * y, xy - x * y);
-        match common > 0.0 {
-            true => [common / of_x, of_y / common],
-            // Nothing in common tells nothing.
-            false => [0.0, f64::INFINITY],
-        }
     }
 
     fn means(&self) -> HeldOut {
@@ -260,7 +244,7 @@ impl Sums {
             base: error(0),
             refined: error(1),
             noise: error(2),
-            exponent: self.exponent(),
+            slow_gain: (self.slow_gain / self.n_pixels.max(1.0)).sqrt(),
         }
     }
 }
@@ -268,25 +252,6 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_exponent_lies_between_both_regressions() {
-        let mut sums = Sums::default();
-        for k in 0..100 {
-            let x = 0.01 * f64::from(k);
-            // Observed with the power 0.6, scattered by turns.
-            let y = 0.6 * x + if k % 2 == 0 { 0.02 } else { -0.02 };
-            sums.n_pixels += 1.0;
-            for (sum, term) in sums.logs.iter_mut().zip([x, y, x * x, y * y, x * y]) {
-                *sum += term;
-            }
-        }
-        let [low, high] = sums.means().exponent;
-        assert!(
-            low > 0.55 && low <= 0.6 && high >= 0.6 && high < 0.65,
-            "{low} {high}"
-        );
-    }
 
     #[test]
     fn a_quarter_is_held_out_and_never_the_only_view() {

@@ -44,7 +44,7 @@ pub use view::{ImageTrust, Optics};
 
 use crate::geometry::TriMesh;
 use depth_camera::Image;
-use error::{MAX_BELIEVABLE_RMSE, MAX_EXPONENT_ERROR};
+use error::MAX_BELIEVABLE_RMSE;
 use held_out::{every, judge, views_to_hold_out};
 use nalgebra::Point3;
 use preparation::{Preparation, first_views};
@@ -132,10 +132,9 @@ pub fn refine(
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));
     }
-    let exponent = judgement.overall.exponent;
-    let [low, high] = exponent;
-    if low > 1.0 + MAX_EXPONENT_ERROR || (high < 1.0 - MAX_EXPONENT_ERROR && high > 0.0) {
-        return Err(RefineError::WrongExponent { exponent });
+    let (slow_gain, limit) = (judgement.overall.slow_gain, params.trust.max_slow_gain);
+    if slow_gain > limit {
+        return Err(RefineError::SlowlyContradicted { slow_gain, limit });
     }
     if !status.is_final() {
         let last = params.n_rounds..params.n_rounds + 1;

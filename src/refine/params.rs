@@ -64,6 +64,7 @@ impl RefineParams {
             ("slope_sigma_rad", self.slope_sigma_rad, 1e-4, 2.0),
             ("patch_m", self.patch_m, 1e-3, 1.0),
             ("max_albedos", self.max_albedos as f64, 1.0, 8.0),
+            ("trust.max_slow_gain", self.trust.max_slow_gain, 0.0, 10.0),
             ("trust.model_error", self.trust.model_error, 0.0, 1.0),
             (
                 "trust.misregistration_px",
