@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod calibrate;
+pub mod evaluate;
 pub mod run;
 pub mod summary;
 
@@ -35,12 +36,16 @@ pub struct Cli {
 pub enum Command {
     /// Fuse and refine a recorded session
     Replay(Box<ReplayArgs>),
+    /// Refine the base mesh of an output folder again
+    Refine(RefineArgs),
     /// Record a session of a simulated sensor
     Simulate(SimulateArgs),
     /// Fuse and refine the recording that comes with the program
     Demo(DemoArgs),
     /// Measure tracking and fusion on a recorded session
     Bench(BenchArgs),
+    /// Measure how well refinement explains images that it was not made from
+    Evaluate(EvaluateArgs),
     /// Measure what the program has to know of a device
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
@@ -51,7 +56,9 @@ impl Command {
     pub fn prints_json(&self) -> bool {
         match self {
             Command::Replay(args) => args.json,
+            Command::Refine(args) => args.json,
             Command::Bench(args) => args.json,
+            Command::Evaluate(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
             Command::Simulate(_) | Command::Demo(_) => false,
         }
@@ -140,6 +147,38 @@ impl ReplayArgs {
     }
 }
 
+/// `relief refine`.
+#[derive(Debug, Args)]
+pub struct RefineArgs {
+    /// Output folder of `relief replay`: base.ply, trajectory.txt and snapshots are read
+    pub output: PathBuf,
+    /// Folder for the outputs, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Box of the object in the world frame, metres; found without it
+    #[arg(
+        long,
+        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+        allow_hyphen_values = true
+    )]
+    pub roi: Option<RoiArg>,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Threads; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Print one JSON object on standard output, and no progress
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// `relief simulate`.
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
@@ -198,6 +237,53 @@ impl BenchArgs {
             ..Overrides::default()
         }
     }
+}
+
+/// `relief evaluate`.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// Output folder of `relief replay`: base.ply, trajectory.txt and snapshots are read
+    pub output: PathBuf,
+    /// Folder for the evaluation, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Refinements, each without its share of the views; as many as views leave out one at a time
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = folds)]
+    pub folds: usize,
+    /// Also with fewer views, tracked poses, one albedo, and other values of gamma
+    #[arg(long)]
+    pub ablations: bool,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Box of the object in the world frame, metres; found without it
+    #[arg(
+        long,
+        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+        allow_hyphen_values = true
+    )]
+    pub roi: Option<RoiArg>,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Threads; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A number of folds.
+fn folds(text: &str) -> anyhow::Result<usize> {
+    let n: usize = text
+        .parse()
+        .with_context(|| format!("\"{text}\" is no number"))?;
+    ensure!((2..=64).contains(&n), "{n} folds, must be 2 to 64");
+    Ok(n)
 }
 
 /// A sensor by name.

@@ -5,7 +5,7 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command, bench, calibrate,
+    Cli, Command, bench, calibrate, evaluate,
     run::{self, Verdict},
     summary,
 };
@@ -27,9 +27,11 @@ fn main() -> ExitCode {
 
     let ran = match &cli.command {
         Command::Replay(args) => run::replay(args, &progress),
+        Command::Refine(args) => run::refine(args, &progress),
         Command::Simulate(args) => run::simulate(args),
         Command::Demo(args) => run::demo(args, &progress),
         Command::Bench(args) => bench::bench(args),
+        Command::Evaluate(args) => evaluate::evaluate(args),
         Command::Calibrate(command) => calibrate::calibrate(command),
     };
     let verdict = ran.unwrap_or_else(|error| {

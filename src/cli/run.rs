@@ -1,12 +1,14 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
-use super::{DemoArgs, ReplayArgs, SimulateArgs, summary};
+use super::{DemoArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use relief::{
-    config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration},
+    config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
     control::{self, EXIT_INTERRUPTED, Progress},
-    pipeline::{Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, WhenFull},
+    pipeline::{
+        Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
+    },
 };
 use replay::{Pacing, ReplayCamera, SessionWriter};
 use simulated::SimulatedCamera;
@@ -73,11 +75,51 @@ pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict>
         || Pipeline::spawn(Box::new(camera), params, folder),
         progress,
     )?;
-    match args.json {
-        true => summary::print_json(&outcome)?,
-        false => summary::print_text(&outcome),
+    say(&outcome, args.json)
+}
+
+fn say(outcome: &Outcome, as_json: bool) -> anyhow::Result<Verdict> {
+    match as_json {
+        true => summary::print_json(outcome)?,
+        false => summary::print_text(outcome),
     }
-    Ok(Verdict::of_outcome(&outcome))
+    Ok(Verdict::of_outcome(outcome))
+}
+
+/// `relief refine`.
+pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict> {
+    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
+    let recorded = RecordedScan::read(&args.output)?;
+    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let places = CalibrationPlaces {
+        given: args.calibration.as_deref(),
+        folder: &folder,
+        session: None,
+    };
+    let found = config::find_calibration(&recorded.info, &places)?;
+    let params = PipelineParams {
+        session: session_name(&args.output),
+        capture: config.capture,
+        multipath: config.multipath,
+        fusion: config.fusion,
+        snapshot: config.snapshot,
+        object: config.object,
+        refine: Some(config.refine),
+        warnings: calibration_warnings(&found, &recorded.info),
+        calibration_source: found.source.to_string(),
+        calibration: found.calibration,
+        roi: args.roi.map(|roi| roi.0),
+        poses: None,
+        n_threads: args.threads.unwrap_or_else(all_processors),
+        when_full: WhenFull::Block,
+        record: false,
+    };
+    let folder = OutputFolder::claim(&args.out)?;
+    let outcome = control::operate(
+        || Pipeline::spawn_refinement(recorded, params, folder),
+        progress,
+    )?;
+    say(&outcome, args.json)
 }
 
 fn pipeline_params(

@@ -1,7 +1,7 @@
 //! What the program says on standard output when a run is over.
 
 use relief::{
-    export::{BaseMesh, FrameCounts, Report, StageTiming, Tracking},
+    export::{BaseMesh, FrameCounts, HeldOut, Report, StageTiming, Tracking},
     pipeline::{Ending, Outcome},
 };
 use serde::Serialize;
@@ -41,6 +41,7 @@ struct Refined<'a> {
     edge_length_m: f64,
     rmse_before: f64,
     rmse_after: f64,
+    held_out: HeldOut,
 }
 
 /// Prints the summary as one JSON object on one line.
@@ -73,6 +74,7 @@ fn summary(outcome: &Outcome) -> Summary<'_> {
         edge_length_m: mesh.edge_length_m,
         rmse_before: mesh.rmse_before,
         rmse_after: mesh.rmse_after,
+        held_out: mesh.held_out,
     });
     Summary {
         status: match outcome.ending {

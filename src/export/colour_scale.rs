@@ -74,7 +74,7 @@ impl ColourScale {
     }
 
     /// The colour of a number; transparent if it is not finite, the nearer end's if it lies outside.
-    fn colour(&self, value: f64) -> [u8; 4] {
+    pub fn colour(&self, value: f64) -> [u8; 4] {
         if !value.is_finite() {
             return [0; 4];
         }

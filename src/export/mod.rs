@@ -18,10 +18,12 @@ mod trajectory;
 mod material;
 mod picture;
 mod png;
+mod snapshot_reader;
 mod snapshots;
 mod views;
 
 mod chart;
+mod evaluation;
 mod page;
 mod report;
 mod report_format;
@@ -43,17 +45,23 @@ pub use calibration_page::{
     ResponseFigure, write_calibration_page,
 };
 pub use error::ExportError;
+pub use evaluation::{
+    Ablation, EvaluationPictures, EvaluationReport, LeftOutView, write_evaluation,
+};
 pub use glb::write_glb;
 pub use material::PhongParams;
 pub use picture::phong;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
-pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba};
+pub use png::{
+    decode_png_grey16, encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba,
+};
 pub use report::{
-    AlbedoShare, BaseMesh, FrameCounts, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
+    AlbedoShare, BaseMesh, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
     RefinedView, Report, StageTiming, Tracking, write_report_json,
 };
 pub use report_html::{ReportPictures, write_report_html};
+pub use snapshot_reader::{StoredSnapshot, read_snapshots};
 pub use snapshots::{SnapshotRecord, write_snapshots};
 pub use trajectory::{read_trajectory, write_trajectory};
 pub use views::{MeanView, PictureSize, PictureView, three_views};

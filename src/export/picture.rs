@@ -8,7 +8,7 @@ use super::{
     material::{linear_from_srgb, shade, srgb_from_linear},
 };
 use crate::geometry::{CameraModel, DepthBuffer, Pose, TriMesh, rasterise};
-use depth_camera::{Image, Intrinsics};
+use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -33,7 +33,7 @@ pub fn phong(
         normals.len() >= mesh.vertices.len(),
         "every vertex needs a normal"
     );
-    let camera = finer(&view.camera);
+    let camera = view.camera.finer(SAMPLES);
     let camera_from_mesh = view.world_from_camera.inverse();
     let scene = Scene {
         mesh,
@@ -52,20 +52,6 @@ pub fn phong(
         .map(|pixel| scene.pixel(pixel % width, pixel / width, params))
         .collect();
     Image::from_vec(width, height, pixels)
-}
-
-/// The camera whose pixels are the samples.
-fn finer(camera: &CameraModel) -> CameraModel {
-    let (i, n) = (camera.intrinsics(), SAMPLES as f64);
-    CameraModel::new(Intrinsics {
-        width: i.width * SAMPLES,
-        height: i.height * SAMPLES,
-        fx: i.fx * n,
-        fy: i.fy * n,
-        cx: (i.cx + 0.5) * n - 0.5,
-        cy: (i.cy + 0.5) * n - 0.5,
-        ..*i
-    })
 }
 
 /// All that shading one sample needs.

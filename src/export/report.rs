@@ -132,8 +132,32 @@ pub struct RefinedMesh {
     pub rmse_before: f64,
     /// The same on the refined mesh.
     pub rmse_after: f64,
+    /// What images that refinement did not use say of both meshes.
+    pub held_out: HeldOut,
     /// The shading images.
     pub views: Vec<RefinedView>,
+}
+
+/// Images held out from refinement against what is rendered from either mesh, integrated over pixels: root mean squares as
+/// shares of the mean observed linear intensity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct HeldOut {
+    /// How many were held out; none if there was a single one.
+    pub n_views: usize,
+    /// Error of the intensity, base mesh.
+    pub intensity_base: f64,
+    /// Refined mesh, before the last round took in the images held out.
+    pub intensity_refined: f64,
+    /// What the sensor's noise would leave.
+    pub intensity_noise: f64,
+    /// Error of the intensity's gradient per pixel, base mesh.
+    pub gradient_base: f64,
+    /// Refined mesh.
+    pub gradient_refined: f64,
+    /// What the sensor's noise would leave.
+    pub gradient_noise: f64,
+    /// Root mean square of the gains, less 1, that took up slow differences of brightness.
+    pub slow_gain: f64,
 }
 
 /// One outer iteration of refinement.

@@ -1,7 +1,7 @@
 //! The sections of the report page that exist only when a scan was refined.
 
 use super::{
-    RefinedMesh,
+    HeldOut, RefinedMesh,
     chart::{Labels, Series, bars, log_lines},
     report_format::{change, compact, count, fixed, length, percent},
 };
@@ -35,6 +35,7 @@ pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
                     } } }
                 } }
             }
+            @if refined.held_out.n_views > 0 { (held_out(&refined.held_out)) }
             @if !refined.albedo.is_empty() {
                 p class="quiet" { "Albedo: "
                     @for (k, material) in refined.albedo.iter().enumerate() {
@@ -43,6 +44,17 @@ pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
                     } "."
                 }
             }
+        }
+    }
+}
+
+/// What images that refinement did not use say.
+fn held_out(held_out: &HeldOut) -> Markup {
+    html! {
+        p { (held_out.n_views) " images were held out to judge: of their intensity "
+            (percent(held_out.intensity_base)) " is unexplained by the base mesh, "
+            (percent(held_out.intensity_refined)) " by the refined one, " (percent(held_out.intensity_noise)) " is noise; of its gradient "
+            (percent(held_out.gradient_base)) ", " (percent(held_out.gradient_refined)) " and " (percent(held_out.gradient_noise)) "."
         }
     }
 }

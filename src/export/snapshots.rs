@@ -21,6 +21,8 @@ pub struct SnapshotRecord<'a> {
     pub ir: &'a Image<u16>,
     /// Which pixels count, of the same size as `ir`: 0 is masked out.
     pub mask: &'a Image<u8>,
+    /// Depth from the same pose, of the same size, metres; 0 is none.
+    pub depth_m: &'a Image<f32>,
     /// Pose of the IR camera.
     pub world_from_camera: Pose,
     /// Whatever else there is to know: exposure, light, intrinsics, frame.
@@ -30,12 +32,14 @@ pub struct SnapshotRecord<'a> {
 }
 
 /// The files of a snapshot, `meta.json` being the last: where it stands the snapshot is whole.
-const FILES: [&str; 4] = ["ir.png", "mask.png", "pose.txt", "meta.json"];
+pub(super) const FILES: [&str; 5] = ["ir.png", "mask.png", "depth.png", "pose.txt", "meta.json"];
+/// Depth is stored in steps of 1 / this many metres, as in the TUM RGB-D benchmark.
+pub(super) const DEPTH_UNITS_PER_METRE: f32 = 5000.0;
 
 /// Writes snapshot k of `records` to `dir/snapshots/` in folder `000`, `001`, …: `ir.png` (16 bit, raw counts), `mask.png`
-/// (8 bit), `pose.txt` (one TUM line, world from camera) and, last of all, `meta.json`.
+/// (8 bit), `depth.png` (16 bit, 5000 a metre), `pose.txt` (one TUM line, world from camera) and, last of all, `meta.json`.
 ///
-/// Snapshots of an earlier export are replaced; those beyond the last record are removed, but only these four files.
+/// Snapshots of an earlier export are replaced; those beyond the last record are removed, but only these files.
 ///
 /// # Errors
 /// [`ExportError::Unfit`] if a mask differs in size from its image or a pose is not finite, before anything is written;
@@ -59,7 +63,7 @@ pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), Exp
     Ok(())
 }
 
-fn folder_name(index: usize) -> String {
+pub(super) fn folder_name(index: usize) -> String {
     format!("{index:03}")
 }
 
@@ -70,11 +74,15 @@ fn check(record: &SnapshotRecord) -> Result<(), String> {
     if ir != mask {
         return Err(format!("the mask is {mask}, the image {ir}"));
     }
+    let depth = size(record.depth_m.width(), record.depth_m.height());
+    if ir != depth {
+        return Err(format!("the depth is {depth}, the image {ir}"));
+    }
     check_pose(record.device_time_secs, &record.world_from_camera)
 }
 
 fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportError> {
-    let [ir, mask, pose, meta] = FILES.map(|name| folder.join(name));
+    let [ir, mask, depth, pose, meta] = FILES.map(|name| folder.join(name));
     fs::create_dir_all(folder).map_err(|cause| ExportError::write(folder, cause))?;
     // While the files are of two exports, nothing may say that they belong together.
     remove_file(&meta).map_err(|cause| ExportError::write(&meta, cause))?;
@@ -82,6 +90,10 @@ fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportEr
     write_atomically(&mask, |file| {
         file.write_all(&encode_png_grey8(record.mask)?)
     })?;
+    let units = record
+        .depth_m
+        .map(|z| (DEPTH_UNITS_PER_METRE * z).round() as u16);
+    write_atomically(&depth, |file| file.write_all(&encode_png_grey16(&units)?))?;
     let line = tum_line(record.device_time_secs, &record.world_from_camera);
     write_atomically(&pose, |file| writeln!(file, "{TUM_HEADER}\n{line}"))?;
     write_atomically(&meta, |file| writeln!(file, "{:#}", record.meta))
@@ -117,9 +129,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let ir = Image::from_vec(4, 3, (0..12u16).map(|k| k * 5000).collect());
         let mask = Image::filled(4, 3, 255u8);
+        let depth_m = Image::filled(4, 3, 0.7f32);
         let record = |k: usize| SnapshotRecord {
             ir: &ir,
             mask: &mask,
+            depth_m: &depth_m,
             world_from_camera: Pose::translation(0.1 * k as f64, 0.0, 0.5),
             meta: json!({"frame_id": k}),
             device_time_secs: k as f64,
@@ -145,9 +159,11 @@ mod tests {
     fn a_mask_of_another_size_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (ir, mask) = (Image::filled(4, 3, 0u16), Image::filled(3, 4, 0u8));
+        let depth_m = Image::filled(4, 3, 0.7f32);
         let record = SnapshotRecord {
             ir: &ir,
             mask: &mask,
+            depth_m: &depth_m,
             world_from_camera: Pose::identity(),
             meta: json!({}),
             device_time_secs: 0.0,

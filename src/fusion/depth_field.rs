@@ -144,7 +144,7 @@ impl DepthField {
                 return None;
             }
             let normal = pose.rotation.inverse() * gradient.try_normalize(0.0)?;
-            let towards = -centre.coords.normalize();
+            let towards = -centre.coords.try_normalize(0.0)?;
             let cosine = normal.dot(&towards);
             if cosine < MIN_COSINE {
                 return None;

@@ -379,8 +379,11 @@ fn reduced(linear: &LinearImage, camera: &CameraModel) -> LinearImage {
             });
         }
     }
+    let value = Image::from_vec(width, height, value);
     LinearImage {
-        value: Image::from_vec(width, height, value),
+        // A full pixel's blur is nothing beside a reduced one.
+        integrated: value.clone(),
+        value,
         sigma: Image::from_vec(width, height, sigma),
     }
 }

@@ -47,6 +47,22 @@ impl CameraModel {
         })
     }
 
+    /// The same lens seen by an image larger by an integer `factor`, whose pixels are samples of this one's.
+    pub fn finer(&self, factor: usize) -> CameraModel {
+        let scale = factor as f64;
+        let centre = |c: f64| (c + 0.5) * scale - 0.5;
+        let i = &self.intrinsics;
+        CameraModel::new(Intrinsics {
+            width: i.width * factor,
+            height: i.height * factor,
+            fx: i.fx * scale,
+            fy: i.fy * scale,
+            cx: centre(i.cx),
+            cy: centre(i.cy),
+            ..*i
+        })
+    }
+
     /// Pixel of a point in the camera frame (m); `None` behind the camera or beyond the lens.
     pub fn project(&self, point_camera: &Point3<f64>) -> Option<Vector2<f64>> {
         if point_camera.z <= 1e-6 {

@@ -118,7 +118,7 @@ fn samples(
         }
         let point = point / f64::from(n);
         let normal = normal.try_normalize(0.0)?;
-        let cosine = normal.dot(&(eye - point).normalize());
+        let cosine = normal.dot(&(eye - point).try_normalize(0.0)?);
         (cosine >= MIN_COSINE).then(|| Sample {
             place: (point / PLACE_M).map(|x| x.floor() as i32).into(),
             point: Point3::from(point),

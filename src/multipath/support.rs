@@ -21,8 +21,7 @@ pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
     let Some(plane) = Plane::of_most(patches) else {
         return Vec::new();
     };
-    let along = plane.normal.cross(&Vector3::x()).normalize();
-    let across = plane.normal.cross(&along);
+    let [along, across] = directions_in(&plane.normal);
     let n_half = (REACH_M / SQUARE_M) as i32;
     let offsets = (-n_half..n_half).map(|k| (f64::from(k) + 0.5) * SQUARE_M);
     let squares = offsets
@@ -44,6 +43,15 @@ pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
             Some(Lit { radiance, ..square })
         })
         .collect()
+}
+
+/// Two unit vectors across a normal and across one another.
+fn directions_in(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let axis = Vector3::ith(normal.iamin(), 1.0);
+    let along = normal.cross(&axis);
+    // The axis is that which the normal has least of, so that they are never parallel.
+    let along = along / along.norm();
+    [along, normal.cross(&along)]
 }
 
 /// A plane, camera frame.
@@ -86,7 +94,7 @@ impl Plane {
             .iter()
             .map(|(_, n, _)| n)
             .sum::<Vector3<f64>>()
-            .normalize();
+            .try_normalize(0.0)?;
         let mut reflected: Vec<f32> = companions.iter().map(|(.., share)| *share).collect();
         let (_, reflected, _) =
             reflected.select_nth_unstable_by(companions.len() / 2, f32::total_cmp);

@@ -49,6 +49,10 @@ fn patches_that_face_away_send_nothing() {
     );
 }
 
+fn unit(vector: Vector3<f64>) -> Vector3<f64> {
+    vector.try_normalize(0.0).expect("not zero")
+}
+
 /// A white ball of 0.1 m on a table, seen by a Kinect II that sees no multipath.
 struct Scene {
     info: CameraInfo,
@@ -83,8 +87,8 @@ impl Scene {
             .map(|k| {
                 let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.15 * f64::from(k));
                 let eye = turn * Vector3::new(0.5, 0.0, 0.1 + 0.035 * f64::from(k));
-                let forward = (Vector3::new(0.0, 0.0, 0.06) - eye).normalize();
-                let right = forward.cross(&Vector3::z()).normalize();
+                let forward = unit(Vector3::new(0.0, 0.0, 0.06) - eye);
+                let right = unit(forward.cross(&Vector3::z()));
                 let axes =
                     nalgebra::Matrix3::from_columns(&[right, forward.cross(&right), forward]);
                 let rotation = nalgebra::Rotation3::from_matrix_unchecked(axes);
@@ -158,7 +162,8 @@ fn the_foot_of_a_ball_looks_farther_away_than_its_top_and_correction_undoes_itse
         let (u, v) = (pixel.x.round() as usize, pixel.y.round() as usize);
         longer.at(u, v) - depth.at(u, v)
     };
-    let towards = Scene::poses()[5].translation.vector.xy().normalize() * 0.1;
+    let towards = Scene::poses()[5].translation.vector.xy();
+    let towards = towards * (0.1 / towards.norm());
     let (top, side) = (
         bias_at(Vector3::new(0.0, 0.0, 0.199)),
         bias_at(Vector3::new(0.9 * towards.x, 0.9 * towards.y, 0.055)),

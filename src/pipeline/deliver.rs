@@ -1,5 +1,6 @@
 //! The outputs of a run: what is written where, and what could not be.
 
+use super::snapshot_meta::SnapshotMeta;
 use crate::{
     capture::RecorderSummary,
     export::{
@@ -11,7 +12,6 @@ use crate::{
     snapshot::ShadingSnapshot,
 };
 use depth_camera::{CameraInfo, Image};
-use serde_json::{Value, json};
 use std::{
     path::{Path, PathBuf},
     sync::{Mutex, PoisonError},
@@ -22,7 +22,8 @@ pub const BASE_PLY: &str = "base.ply";
 /// The refined mesh's files.
 pub const REFINED_PLY: &str = "refined.ply";
 const REFINED_GLB: &str = "refined.glb";
-const TRAJECTORY: &str = "trajectory.txt";
+/// The poses of all fused frames.
+pub const TRAJECTORY: &str = "trajectory.txt";
 const SNAPSHOTS: &str = "snapshots";
 const REPORT_HTML: &str = "report.html";
 const REPORT_JSON: &str = "report.json";
@@ -99,8 +100,9 @@ impl Outbox {
             .map(|(snapshot, (ir, mask))| SnapshotRecord {
                 ir,
                 mask,
+                depth_m: &snapshot.depth_m,
                 world_from_camera: snapshot.world_from_camera,
-                meta: meta(snapshot, info),
+                meta: SnapshotMeta::new(snapshot, info).to_json(),
                 device_time_secs: snapshot.device_time_secs,
             })
             .collect();
@@ -165,21 +167,4 @@ fn counts(snapshot: &ShadingSnapshot) -> Image<u16> {
 /// Where a snapshot has depth to go with it.
 fn depth_mask(snapshot: &ShadingSnapshot) -> Image<u8> {
     snapshot.depth_m.map(|&z| if z > 0.0 { 255 } else { 0 })
-}
-
-fn meta(snapshot: &ShadingSnapshot, info: &CameraInfo) -> Value {
-    let i = &info.intrinsics;
-    json!({
-        "frame_id": snapshot.frame_id,
-        "device_time_secs": snapshot.device_time_secs,
-        "n_exposures": snapshot.n_exposures,
-        "sensor": info.sensor.name(),
-        "serial": info.serial,
-        "ir_full_scale": info.ir_full_scale,
-        "light_position_camera_m": info.light.map(|light| light.position_m),
-        "intrinsics": {
-            "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
-            "k1": i.k1, "k2": i.k2, "p1": i.p1, "p2": i.p2, "k3": i.k3,
-        },
-    })
 }

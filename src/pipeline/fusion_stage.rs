@@ -103,6 +103,18 @@ pub fn run(
     summary
 }
 
+/// Sends a scan that was fused before.
+pub fn send(scan: FusedScan, scans: &Sender<Arc<FusedScan>>) -> FusionSummary {
+    let scan = Arc::new(scan);
+    // A refinement that is gone is told of where its thread is joined.
+    let _ = scans.send(scan.clone());
+    FusionSummary {
+        n_fused: scan.world_from_cameras.len() as u64,
+        scan: Some(scan),
+        ..FusionSummary::default()
+    }
+}
+
 /// What the fusion thread has in hand.
 struct FusionStage {
     fusion: Fusion,

@@ -26,11 +26,11 @@ pub struct Handle {
     pub(super) folder: OutputFolder,
 }
 
-/// The threads of a pipeline, in the order in which they end.
+/// The threads of a pipeline, in the order in which they end; without a camera there is nothing to capture or record.
 pub(super) struct Threads {
-    pub device: JoinHandle<CaptureSummary>,
+    pub device: Option<JoinHandle<CaptureSummary>>,
     pub fusion: JoinHandle<FusionSummary>,
-    pub recorder: JoinHandle<RecorderSummary>,
+    pub recorder: Option<JoinHandle<RecorderSummary>>,
     pub refine: JoinHandle<RefineSummary>,
 }
 
@@ -92,7 +92,9 @@ impl Handle {
     /// Waits for all threads, then writes the report.
     pub fn join(self) -> Outcome {
         let outbox = &self.outbox;
-        let capture = ended("device", self.threads.device, outbox).unwrap_or(CaptureSummary {
+        let device = self.threads.device;
+        let capture = device.and_then(|device| ended("device", device, outbox));
+        let mut capture = capture.unwrap_or(CaptureSummary {
             n_frames: 0,
             n_damaged: 0,
             n_timeouts: 0,
@@ -100,7 +102,11 @@ impl Handle {
             end: CaptureEnd::Unwanted,
         });
         let fusion = ended("fusion", self.threads.fusion, outbox).unwrap_or_default();
-        ended("recorder", self.threads.recorder, outbox);
+        // Frames that were fused before this run are told of as its own.
+        capture.n_frames = capture.n_frames.max(fusion.n_fused);
+        if let Some(recorder) = self.threads.recorder {
+            ended("recorder", recorder, outbox);
+        }
         let refined =
             ended("refine", self.threads.refine, outbox).unwrap_or_else(|| RefineSummary {
                 not_refined_reason: Some("refinement ended by a fault of the program".to_owned()),

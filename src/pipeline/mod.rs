@@ -19,8 +19,10 @@ mod device_stage;
 mod fusion_stage;
 mod given_poses;
 mod losses;
+mod recorded_scan;
 mod recorder_stage;
 mod refine_stage;
+mod snapshot_meta;
 
 mod deliver;
 mod depth_correction;
@@ -34,6 +36,7 @@ pub use fusion_stage::FusedScan;
 pub use given_poses::GivenPoses;
 pub use handle::{Ending, Handle, Outcome, Watch};
 pub use output_folder::{OutputFolder, OutputFolderError};
+pub use recorded_scan::{RecordedScan, RecordedScanError};
 pub use status::{Phase, Status};
 pub use timing::peak_memory_bytes;
 
@@ -143,15 +146,15 @@ impl Pipeline {
         let events_in = tracked_in.clone();
 
         let threads = Threads {
-            device: spawn("device", move || {
+            device: Some(spawn("device", move || {
                 device_stage::run(device, &frames_in, &recording_in, &events_in)
-            })?,
+            })?),
             fusion: spawn("fusion", move || {
                 fusion_stage::run(fusion, frames_out, tracked_in, scans_in)
             })?,
-            recorder: spawn("recorder", move || {
+            recorder: Some(spawn("recorder", move || {
                 recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
-            })?,
+            })?),
             refine: spawn("refine", move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
@@ -161,6 +164,41 @@ impl Pipeline {
             watch,
             threads,
             drops,
+            outbox,
+            folder,
+        })
+    }
+}
+
+impl Pipeline {
+    /// Starts refinement alone, of a scan that was fused before; of `params` only what refinement needs is read.
+    ///
+    /// # Errors
+    /// If the system gives no threads.
+    pub fn spawn_refinement(
+        recorded: RecordedScan,
+        params: PipelineParams,
+        folder: OutputFolder,
+    ) -> Result<Handle, SpawnError> {
+        let RecordedScan { info, scan } = recorded;
+        let watch = watch(&info);
+        let refine = refine_setup(&params, &info, &watch)?;
+        let outbox = Arc::new(Outbox::new(folder.path()));
+        let outbox_of_refine = outbox.clone();
+        let (scans_in, scans_out) = edges::scans();
+        let threads = Threads {
+            device: None,
+            fusion: spawn("fusion", move || fusion_stage::send(scan, &scans_in))?,
+            recorder: None,
+            refine: spawn("refine", move || {
+                refine_stage::run(&refine, &scans_out, &outbox_of_refine)
+            })?,
+        };
+        Ok(Handle {
+            subject: subject(&params, &info, &folder),
+            watch,
+            threads,
+            drops: Arc::new(DropCounts::default()),
             outbox,
             folder,
         })

@@ -9,7 +9,7 @@ use super::{
 use crate::{
     export::{BaseMesh, StageTiming},
     geometry::{CameraModel, RayGrid, TriMesh, close_holes},
-    refine::{ObjectParams, Optics, RefineParams, Refinement, Roi, refine, select_roi},
+    refine::{ObjectParams, Optics, RefineParams, Refinement, Roi, Subject, refine, select_roi},
     shading::Calibration,
     snapshot::{ShadingSnapshot, SnapshotSelection},
 };
@@ -241,7 +241,7 @@ fn run_refine(
     let mut first_energy = None;
     setup
         .status
-        .update(|status| status.rounds = (0, params.n_rounds));
+        .update(|status| status.rounds = (0, params.n_rounds + 1));
     let progress = |iteration: &crate::refine::Iteration| {
         let first = *first_energy.get_or_insert(iteration.energy_before);
         setup.status.update(|status| {
@@ -251,6 +251,11 @@ fn run_refine(
         });
         !setup.stop.is_stopped()
     };
-    refine(&scan.base, object, snapshots, &optics, params, progress)
-        .map_err(|error| error.to_string())
+    let subject = Subject {
+        scene: &scan.base,
+        object,
+        snapshots,
+        optics: &optics,
+    };
+    refine(&subject, params, progress).map_err(|error| error.to_string())
 }

@@ -10,9 +10,10 @@ use super::{
 use crate::{
     capture::CaptureSummary,
     export::{
-        AlbedoShare, BaseMesh, FrameCounts, Iteration, RefinedMesh, RefinedView, Report, Tracking,
+        AlbedoShare, BaseMesh, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView, Report,
+        Tracking,
     },
-    refine::{RefineStatus, Refinement},
+    refine::{Judgement, RefineStatus, Refinement},
     snapshot::ShadingSnapshot,
 };
 use depth_camera::CameraInfo;
@@ -59,7 +60,7 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
         refined_mesh(refinement, &snapshots, path(REFINED_PLY))
     });
     let mut warnings = warnings(subject, endings, account);
-    warnings.extend(refined_mesh.as_ref().and_then(misfit));
+    warnings.extend(refined.refinement.as_ref().and_then(unjudged));
     Report {
         session: subject.session.clone(),
         sensor: subject.info.sensor.name().to_owned(),
@@ -109,20 +110,11 @@ pub fn frame_counts(endings: &Endings) -> FrameCounts {
     }
 }
 
-/// Above this share of the mean intensity the light model does not explain the images: 0.02 to 0.18 where the calibration
-/// fits, 0.71 on a recording with a foreign calibration and textured albedo.
-const MAX_BELIEVABLE_RMSE: f64 = 0.4;
-
-/// The warning about a refined mesh that its images do not bear out.
-fn misfit(mesh: &RefinedMesh) -> Option<String> {
-    (mesh.rmse_after > MAX_BELIEVABLE_RMSE).then(|| {
-        format!(
-            "the refined mesh predicts the infrared images badly, {:.0} % of their mean intensity off (at most {:.0} % can be \
-             believed): response, light position or flat field do not belong to this sensor, or the surface has many \
-             albedos; rather use the base mesh",
-            100.0 * mesh.rmse_after,
-            100.0 * MAX_BELIEVABLE_RMSE
-        )
+/// The warning about a refined mesh that nothing could judge.
+fn unjudged(refinement: &Refinement) -> Option<String> {
+    (refinement.judgement.overall.n_pixels == 0).then(|| {
+        "too few shading images to hold one out: nothing says whether the refined mesh is better than the base mesh"
+            .to_owned()
     })
 }
 
@@ -208,9 +200,24 @@ fn refined_mesh(
             .iter()
             .map(|&(albedo, area_share)| AlbedoShare { albedo, area_share })
             .collect(),
-        rmse_before: over_all(&views, |view| view.rmse_before),
-        rmse_after: over_all(&views, |view| view.rmse_after),
+        rmse_before: refinement.rmse_before,
+        rmse_after: refinement.rmse_after,
+        held_out: held_out(&refinement.judgement),
         views,
+    }
+}
+
+fn held_out(judgement: &Judgement) -> HeldOut {
+    let overall = &judgement.overall;
+    HeldOut {
+        n_views: judgement.views.len(),
+        intensity_base: overall.base.intensity,
+        intensity_refined: overall.refined.intensity,
+        intensity_noise: overall.noise.intensity,
+        gradient_base: overall.base.gradient,
+        gradient_refined: overall.refined.gradient,
+        gradient_noise: overall.noise.gradient,
+        slow_gain: overall.slow_gain,
     }
 }
 
@@ -222,14 +229,4 @@ fn status_name(status: RefineStatus) -> &'static str {
         RefineStatus::Cancelled => "cancelled",
         RefineStatus::Singular => "singular",
     }
-}
-
-/// Root mean square over the sites of all views.
-fn over_all(views: &[RefinedView], rmse: impl Fn(&RefinedView) -> f64) -> f64 {
-    let seeing = || views.iter().filter(|view| view.n_sites > 0);
-    let n_sites: usize = seeing().map(|view| view.n_sites).sum();
-    let square: f64 = seeing()
-        .map(|view| view.n_sites as f64 * rmse(view) * rmse(view))
-        .sum();
-    (square / n_sites as f64).sqrt()
 }

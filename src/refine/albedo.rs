@@ -5,12 +5,11 @@
 //! criterion chooses, each facet given to the component that it and its neighbours like best (a Potts model, by iterated
 //! conditional modes).
 
-use super::energy::{unit_normal, views_of};
+use super::energy::unit_normal;
 use super::mixture::Mixture;
-use super::sites::Sites;
-use super::view::View;
+use super::observations::Observations;
 use crate::geometry::TriMesh;
-use crate::shading::Tukey;
+use crate::shading::{Tukey, median_absolute_deviation};
 use rayon::prelude::*;
 
 /// Numerator and denominator of a ratio of sums.
@@ -25,10 +24,10 @@ pub struct Albedo {
     pub labels: Vec<u8>,
     /// Albedo of each group, ascending.
     pub groups: Vec<f64>,
+    /// Robust standard deviation of the facets' own log albedos about their groups'.
+    pub spread: f64,
 }
 
-/// Most groups.
-const MAX_GROUPS: usize = 4;
 /// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
 /// Cost of each neighbour in another group, in units of the mixture's negative log likelihood.
@@ -40,13 +39,13 @@ impl Albedo {
     pub fn estimate(
         mesh: &TriMesh,
         neighbours: &[[u32; 3]],
-        sites: &Sites,
-        views: &[View],
+        observations: &Observations,
+        max_groups: usize,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
-        let ratios = ratios(mesh, sites, views, current);
+        let ratios = ratios(mesh, observations, current);
         let logs: Vec<f64> = ratios.iter().map(|ratio| log_albedo(*ratio)).collect();
-        let mixture = Mixture::fit(&logs, MAX_GROUPS, MIN_LOG_SIGMA)?;
+        let mixture = Mixture::fit(&logs, max_groups, MIN_LOG_SIGMA)?;
         let labels = smooth_labels(&logs, neighbours, &mixture);
         Some(Self::of_labels(labels, mixture.len(), &ratios))
     }
@@ -66,11 +65,18 @@ impl Albedo {
             .iter()
             .map(|&(n, d)| if d > 0.0 { n / d } else { overall })
             .collect();
-        let by_face = labels.iter().map(|&label| groups[label as usize]).collect();
+        let by_face: Vec<f64> = labels.iter().map(|&label| groups[label as usize]).collect();
+        let mut offsets: Vec<f64> = ratios
+            .iter()
+            .zip(&by_face)
+            .map(|(ratio, albedo): (&Ratio, &f64)| log_albedo(*ratio) - albedo.ln())
+            .filter(|offset| offset.is_finite())
+            .collect();
         Albedo {
             by_face,
             labels,
             groups,
+            spread: median_absolute_deviation(&mut offsets),
         }
     }
 
@@ -121,8 +127,7 @@ fn log_albedo((numerator, denominator): Ratio) -> f64 {
 /// The sums of each facet over the views that see it.
 fn ratios(
     mesh: &TriMesh,
-    sites: &Sites,
-    views: &[View],
+    observations: &Observations,
     current: Option<(&Albedo, Tukey)>,
 ) -> Vec<Ratio> {
     (0..mesh.faces.len())
@@ -132,21 +137,17 @@ fn ratios(
                 return (0.0, 0.0);
             };
             let mut sums = (0.0, 0.0);
-            for view in views_of(sites.visible[face], views) {
-                let Some(sample) = view.sample(&sites.points[face], &normal) else {
+            for seen in observations.of(face) {
+                let Some(s) = seen.unit_prediction(&normal) else {
                     continue;
                 };
-                let s = sample.unit_prediction;
-                let robust = current.map_or(1.0, |(albedo, loss)| {
+                let observed = f64::from(seen.observed);
+                let weight = current.map_or(1.0, |(albedo, loss)| {
                     // An outlier to its group may belong to another: it keeps a small say in where it goes.
-                    let residual = (sample.observed - albedo.by_face[face] * s) / sample.sigma;
-                    loss.weight(residual).max(1e-3 / (loss.scale * loss.scale))
+                    let robust = loss.weight(observed - albedo.by_face[face] * s);
+                    robust.max(1e-3 / (loss.scale * loss.scale))
                 });
-                let weight = robust / (sample.sigma * sample.sigma);
-                sums = (
-                    sums.0 + weight * s * sample.observed,
-                    sums.1 + weight * s * s,
-                );
+                sums = (sums.0 + weight * s * observed, sums.1 + weight * s * s);
             }
             sums
         })

@@ -5,7 +5,7 @@
 //! and a shift move pixels in different ways, so that both are determined.
 
 use super::energy::unit_normal;
-use super::view::View;
+use super::view::{Sample, View};
 use crate::geometry::{Pose, TriMesh, increment};
 use crate::shading::Tukey;
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
@@ -89,18 +89,13 @@ fn normal_equations(
         let Some((normal, area)) = unit_normal(target.mesh, face) else {
             continue;
         };
-        let Some((residual, row)) = row(
-            view,
-            &target.sites[face],
-            &normal,
-            target.albedo[face],
-            &centre,
-        ) else {
+        let Some(sample) = view.sample(&target.sites[face], &normal) else {
             continue;
         };
-        let covered = view
-            .pixels_covered(&target.sites[face], &normal, area)
-            .min(1.0);
+        let Some((residual, row)) = row(view, &sample, target.albedo[face], &centre) else {
+            continue;
+        };
+        let covered = sample.covered(view, area);
         let weight = target.loss.weight(residual) * covered;
         jtj += row * row.transpose() * weight;
         jtr += row * (residual * weight);
@@ -109,22 +104,16 @@ fn normal_equations(
 }
 
 /// Residual of a site and its derivative by turn, shift and log gain.
-fn row(
-    view: &View,
-    point: &Point3<f64>,
-    normal: &Vector3<f64>,
-    albedo: f64,
-    centre: &Point3<f64>,
-) -> Option<(f64, Vector7)> {
-    let sample = view.sample(point, normal)?;
+fn row(view: &View, sample: &Sample, albedo: f64, centre: &Point3<f64>) -> Option<(f64, Vector7)> {
+    let look = &sample.look;
     let (light, n) = (view.light(), &sample.normal_camera);
     let prediction = albedo * sample.unit_prediction;
-    let scale = sample.gain * albedo;
-    let by_normal = light.incident(&sample.point_camera) * -scale;
+    let scale = look.gain * albedo;
+    let by_normal = light.incident(&look.point_camera) * -scale;
     let by_point =
-        view.image_gradient(&sample)? - light.irradiance_by_point(&sample.point_camera, n) * scale;
+        view.image_gradient(look)? - light.irradiance_by_point(&look.point_camera, n) * scale;
     // A turn ω moves the point by ω × lever and the normal by ω × n.
-    let lever = sample.point_camera - centre;
+    let lever = look.point_camera - centre;
     let by_turn = lever.cross(&by_point) + n.cross(&by_normal);
     let row = Vector7::from_column_slice(&[
         by_turn.x,
@@ -135,10 +124,7 @@ fn row(
         by_point.z,
         -prediction,
     ]);
-    Some((
-        (sample.observed - prediction) / sample.sigma,
-        row / sample.sigma,
-    ))
+    Some(((look.observed - prediction) / look.sigma, row / look.sigma))
 }
 
 /// Prior that ties the view to its tracked pose and to gain 1.

@@ -6,11 +6,11 @@
 //! one 3×3 block. Sums run over fixed tiles, in order.
 
 use super::couplings::Couplings;
+use super::observations::Observations;
 use super::patches::Patch;
-use super::view::View;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 /// Weights of the priors, in units of the surface.
@@ -37,12 +37,8 @@ pub struct Surface {
 
 /// What stays fixed while displacements are solved for.
 pub struct Problem<'a> {
-    /// The shading images.
-    pub views: &'a [View],
-    /// Bit k of a face is set where view k sees it.
-    pub visible: &'a [u64],
-    /// Where each face is sampled and lit from: its centroid at the start of the round (Sec. 4.3 holds d and l).
-    pub sites: &'a [Point3<f64>],
+    /// What the views show at each face: sampled and lit at its centroid at the start of the round (Sec. 4.3 holds d and l).
+    pub observations: &'a Observations,
     /// Albedo of each face.
     pub albedo: &'a [f64],
     /// Scale of the residuals in sigmas, and the Tukey cut-off in that scale.
@@ -114,16 +110,10 @@ impl Problem<'_> {
             return 0.0;
         };
         let mut energy = 0.0;
-        for view in views_of(self.visible[face], self.views) {
-            let Some(sample) = view.sample(&self.sites[face], &normal) else {
-                continue;
-            };
-            let residual =
-                (sample.observed - self.albedo[face] * sample.unit_prediction) / sample.sigma;
-            let weight = view
-                .pixels_covered(&self.sites[face], &normal, area)
-                .min(1.0);
-            energy += weight * self.loss.loss(residual);
+        for seen in self.observations.of(face) {
+            if let Some(residual) = seen.residual(&normal, self.albedo[face]) {
+                energy += seen.covered(&normal, area) * self.loss.loss(residual);
+            }
         }
         energy
     }
@@ -191,38 +181,27 @@ impl Problem<'_> {
 
     fn face_block(&self, surface: &Surface, face: usize) -> FaceBlock {
         let mut block = FaceBlock::default();
-        if self.visible[face] == 0 {
+        if self.observations.of(face).is_empty() {
             return block;
         }
         let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
             return block;
         };
         let by_corner = normal_by_displacement(surface, face, &normal);
-        for view in views_of(self.visible[face], self.views) {
-            let Some(residual) = view.residual(&self.sites[face], &normal, self.albedo[face])
-            else {
+        let albedo = self.albedo[face];
+        for seen in self.observations.of(face) {
+            let Some(residual) = seen.residual(&normal, albedo) else {
                 continue;
             };
-            let weight = self.loss.weight(residual.value)
-                * view
-                    .pixels_covered(&self.sites[face], &normal, area)
-                    .min(1.0);
+            let weight = self.loss.weight(residual) * seen.covered(&normal, area);
             // The pixel, d and l are held: only the normal moves with the displacements.
-            let row = Vector3::from_fn(|corner, _| residual.by_normal.dot(&by_corner[corner]));
+            let by_normal = seen.light() * -albedo;
+            let row = Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]));
             block.jtj += row * row.transpose() * weight;
-            block.jtr += row * (weight * residual.value);
+            block.jtr += row * (weight * residual);
         }
         block
     }
-}
-
-/// The views whose bit is set.
-pub fn views_of(mask: u64, views: &[View]) -> impl Iterator<Item = &View> {
-    views
-        .iter()
-        .enumerate()
-        .filter(move |(k, _)| mask >> k & 1 == 1)
-        .map(|(_, view)| view)
 }
 
 /// Unit normal and area (m²) of a face; `None` where it has no area.
@@ -272,6 +251,7 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point3;
 
     #[test]
     fn derivative_of_the_normal_matches_central_differences() {

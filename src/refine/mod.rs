@@ -12,12 +12,19 @@ mod alignment;
 mod couplings;
 mod crop;
 mod energy;
+mod error;
 mod gain_field;
+#[cfg(test)]
+mod guard_tests;
+mod held_out;
 mod mixture;
 mod object;
+mod observations;
 mod params;
 mod patches;
+mod preparation;
 pub mod remesh;
+mod rendering;
 mod rounds;
 #[cfg(test)]
 mod scenes;
@@ -29,24 +36,24 @@ mod view;
 
 pub use alignment::AlignmentParams;
 pub use crop::{Crop, ObjectParams};
+pub use error::RefineError;
+pub use held_out::{HeldOut, ImageError, JudgedView, Judgement};
 pub use object::{Plane, Roi, select_object, select_roi};
 pub use params::RefineParams;
+pub use preparation::Subject;
 pub use solver::{Iteration, RefineStatus};
 pub use view::{ImageTrust, Optics};
 
-use crate::geometry::{EdgeAdjacency, TriMesh};
-use crate::snapshot::ShadingSnapshot;
-use couplings::Couplings;
+use crate::geometry::TriMesh;
 use depth_camera::Image;
-use energy::Surface;
+use error::MAX_BELIEVABLE_RMSE;
+use held_out::{every, judge, views_to_hold_out};
 use nalgebra::Point3;
-use rayon::prelude::*;
-use remesh::{RemeshParams, remesh};
-use rounds::{Rounds, State, centre_of};
+use preparation::{Preparation, first_views};
+use rounds::State;
 use serde::Serialize;
-use sites::Sites;
-use solver::Pattern;
-use view::{View, ViewContext};
+use sites::{Sites, ViewError, ViewSet};
+use view::View;
 
 /// Most views that one refinement takes.
 pub const MAX_VIEWS: usize = 64;
@@ -82,144 +89,154 @@ pub struct Refinement {
     pub status: RefineStatus,
     /// Every accepted step.
     pub iterations: Vec<Iteration>,
+    /// Spread of the facets' own albedos about those of their groups, robust standard deviation of the logarithm.
+    pub albedo_spread: f64,
+    /// Image error over the sites of all views, before and after: see [`ViewFit`].
+    pub rmse_before: f64,
+    /// After.
+    pub rmse_after: f64,
     /// The views, in the order of the snapshots.
     pub views: Vec<ViewFit>,
+    /// What the views that were held out say.
+    pub judgement: Judgement,
     /// For each view the pixels that could be used: 255, others 0.
     pub masks: Vec<Image<u8>>,
 }
 
-/// Why nothing was refined.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum RefineError {
-    /// The object's mesh is empty.
-    #[error("no surface of the object is left to refine")]
-    NoSurface,
-    /// No view saw anything of the object.
-    #[error("none of the {n_views} shading images sees the object well enough")]
-    NothingVisible {
-        /// How many images there were.
-        n_views: usize,
-    },
-    /// Too many views.
-    #[error("{n_views} shading images given, at most {MAX_VIEWS} can be used")]
-    TooManyViews {
-        /// How many images there were.
-        n_views: usize,
-    },
-    /// The solver's pattern did not fit into memory.
-    #[error("not enough memory for the solver")]
-    OutOfMemory,
-}
-
 /// Refines the surface of an object.
 ///
-/// `scene` is the whole base mesh, `object` the part of it to refine. After each accepted step `progress` is called; it
-/// returns false to cancel, which keeps what was reached.
+/// A quarter of the views is held out while the surface is found and then judges it ([`Judgement`]); a last round takes all
+/// views in. A single view judges nothing. After each accepted step `progress` is called; it returns false to cancel, which
+/// keeps what was reached.
 ///
 /// # Errors
-/// Where there is nothing to refine or to learn from.
+/// Where there is nothing to refine or to learn from, where the images cannot be explained, and where those held out fit the
+/// base surface better: then the base mesh is the result.
 pub fn refine(
-    scene: &TriMesh,
-    object: &TriMesh,
-    snapshots: &[ShadingSnapshot],
-    optics: &Optics,
+    subject: &Subject,
     params: &RefineParams,
     mut progress: impl FnMut(&Iteration) -> bool,
 ) -> Result<Refinement, RefineError> {
-    if snapshots.len() > MAX_VIEWS {
-        return Err(RefineError::TooManyViews {
-            n_views: snapshots.len(),
-        });
-    }
-    let params = &RefineParams {
-        edge_length_m: params.edge_length_for(object.area_m2()),
-        ..params.clone()
-    };
-    let remeshed = remesh(object, &RemeshParams::new(params.edge_length_m));
-    if remeshed.faces.is_empty() {
-        return Err(RefineError::NoSurface);
-    }
-    let centre = centre_of(&remeshed);
-    let context = ViewContext {
-        scene,
-        centre,
-        optics,
-        trust: &params.trust,
-    };
-    let views: Vec<View> = snapshots
-        .par_iter()
-        .map(|snapshot| View::new(snapshot, &context))
-        .collect();
-    let edges = EdgeAdjacency::new(&remeshed);
-    let directions = remeshed.vertex_normals();
-    let patches = patches::cut(&remeshed, &directions, params.patch_m);
-    let couplings = Couplings::new(&remeshed, &edges, &patches);
-    let neighbours = albedo::face_neighbours(&couplings.of_faces, couplings.pairs.len());
-    let pattern =
-        Pattern::new(remeshed.vertices.len(), couplings).ok_or(RefineError::OutOfMemory)?;
-    let rounds = Rounds {
-        params,
-        edges: &edges,
-        patches: &patches,
-        neighbours: &neighbours,
-        pattern: &pattern,
-    };
-    let base_sites = Sites::new(&remeshed, &views);
-    let nothing_visible = RefineError::NothingVisible {
-        n_views: views.len(),
-    };
-    let albedo = rounds
-        .first_albedo(&remeshed, &base_sites, &views)
-        .ok_or(nothing_visible)?;
-    let before = base_sites.view_errors(&remeshed, &views, &albedo.by_face);
-    let total_m = vec![0.0; remeshed.vertices.len()];
-    let mut state = State {
-        surface: Surface {
-            mesh: remeshed,
-            directions,
-            total_m,
-        },
-        views,
-        albedo,
-    };
+    let prepared = Preparation::new(subject, params)?;
+    let rounds = prepared.rounds();
+    let n_views = subject.snapshots.len();
+    let (all, held_out) = (first_views(n_views), views_to_hold_out(n_views));
+    let base = prepared.base(subject, all & !held_out)?;
+    let mut state = base.clone();
     let mut iterations = Vec::new();
-    let mut status = RefineStatus::IterationLimit;
-    for round in 0..params.n_rounds {
-        status = rounds.run(round, &mut state, |iteration| {
-            iterations.push(iteration);
-            progress(&iteration)
-        });
-        if matches!(status, RefineStatus::Cancelled | RefineStatus::Singular) {
-            break;
-        }
+    let mut accepted = |iteration| {
+        iterations.push(iteration);
+        progress(&iteration)
+    };
+    let first = 0..params.n_rounds;
+    let mut status = rounds.run(first, all & !held_out, &mut state, &mut accepted);
+    let judgement = Judgement::of(&judge(&rounds, &base, &mut state, held_out));
+    if judgement.prefers_base() {
+        return Err(RefineError::WorseThanBase(judgement.overall));
+    }
+    let (slow_gain, limit) = (judgement.overall.slow_gain, params.trust.max_slow_gain);
+    if slow_gain > limit {
+        return Err(RefineError::SlowlyContradicted { slow_gain, limit });
+    }
+    if !status.is_final() {
+        let last = params.n_rounds..params.n_rounds + 1;
+        status = rounds.run(last, all, &mut state, &mut accepted);
+    }
+    let views = view_fits(&prepared, &base, &state, all);
+    let rmse = over_all(&views, |view| view.rmse_after);
+    if rmse > MAX_BELIEVABLE_RMSE {
+        return Err(RefineError::Contradicted { rmse });
     }
     let State {
-        surface,
-        views,
-        albedo,
-    } = state;
-    let after =
-        Sites::new(&surface.mesh, &views).view_errors(&surface.mesh, &views, &albedo.by_face);
-    let fits = views
-        .iter()
-        .zip(before.iter().zip(&after))
-        .map(|(view, (before, after))| ViewFit {
-            gain: view.gain,
-            shift_px: shift_px(view, &centre),
-            n_sites: after.n_sites,
-            rmse_before: before.rmse,
-            rmse_after: after.rmse,
-        });
+        surface, albedo, ..
+    } = &state;
     Ok(Refinement {
         albedo: albedo.by_vertex(&surface.mesh),
         albedo_groups: albedo.groups.iter().copied().zip(albedo.shares()).collect(),
-        edge_length_m: params.edge_length_m,
+        albedo_spread: albedo.spread,
+        edge_length_m: prepared.edge_length_m(),
         status,
         iterations,
-        views: fits.collect(),
-        masks: views.iter().map(View::mask).collect(),
-        mesh: surface.mesh,
+        rmse_before: over_all(&views, |view| view.rmse_before),
+        rmse_after: rmse,
+        views,
+        judgement,
+        masks: state.views.iter().map(View::mask).collect(),
+        mesh: state.surface.mesh,
     })
+}
+
+/// Refines as often as there are folds, each time without every `n_folds`-th view, which then judge: leave-one-out where
+/// there are as many folds as views. `done` is called after each fold and returns false to stop.
+///
+/// # Errors
+/// As for [`refine`], but that a worse surface is no error here.
+///
+/// # Panics
+/// If there are fewer than two folds.
+pub fn cross_validate(
+    subject: &Subject,
+    params: &RefineParams,
+    n_folds: usize,
+    mut done: impl FnMut(usize) -> bool,
+) -> Result<Vec<JudgedView>, RefineError> {
+    assert!(n_folds > 1, "{n_folds} folds, must be at least 2");
+    let prepared = Preparation::new(subject, params)?;
+    let n_views = subject.snapshots.len();
+    let mut judged = Vec::with_capacity(n_views);
+    for fold in 0..n_folds.min(n_views) {
+        let judges = every(fold, n_folds, n_views);
+        judged.extend(prepared.validate(subject, first_views(n_views) & !judges, judges)?);
+        if !done(fold) {
+            break;
+        }
+    }
+    judged.sort_by_key(|view| view.index);
+    Ok(judged)
+}
+
+/// Refines from some of the views, given by their numbers, and lets others judge.
+///
+/// # Errors
+/// As for [`cross_validate`].
+pub fn validate(
+    subject: &Subject,
+    params: &RefineParams,
+    learning: &[usize],
+    judges: &[usize],
+) -> Result<Vec<JudgedView>, RefineError> {
+    let set = |views: &[usize]| views.iter().fold(0, |set, view| set | 1 << view);
+    Preparation::new(subject, params)?.validate(subject, set(learning), set(judges))
+}
+
+/// How every view fits the base surface at its tracked pose, and the refined one.
+fn view_fits(prepared: &Preparation, base: &State, state: &State, all: ViewSet) -> Vec<ViewFit> {
+    let errors = |State {
+                      surface,
+                      views,
+                      albedo,
+                  }: &State| {
+        Sites::new(&surface.mesh, views, all).view_errors(&surface.mesh, views, &albedo.by_face)
+    };
+    let pairs = errors(base).into_iter().zip(errors(state));
+    let fit = |(view, (before, after)): (&View, (ViewError, ViewError))| ViewFit {
+        gain: view.gain,
+        shift_px: shift_px(view, prepared.centre()),
+        n_sites: after.n_sites,
+        rmse_before: before.rmse,
+        rmse_after: after.rmse,
+    };
+    state.views.iter().zip(pairs).map(fit).collect()
+}
+
+/// Root mean square over the sites of all views; 0 where nothing is seen.
+fn over_all(views: &[ViewFit], rmse: impl Fn(&ViewFit) -> f64) -> f64 {
+    let n_sites: usize = views.iter().map(|view| view.n_sites).sum();
+    let square: f64 = views
+        .iter()
+        .map(|view| view.n_sites as f64 * rmse(view) * rmse(view))
+        .sum();
+    (square / n_sites.max(1) as f64).sqrt()
 }
 
 /// How far the images moved a point on a view, pixels.

@@ -24,6 +24,8 @@ pub struct RefineParams {
     pub patch_sigma_m: f64,
     /// Standard deviation of the slope of the displacement, radians: Eq. (7). 0.15 and 0.3 give the same surface.
     pub slope_sigma_rad: f64,
+    /// Materials told apart by their albedo at most.
+    pub max_albedos: usize,
     /// How far Eq. (1) is believed.
     pub trust: ImageTrust,
     /// Alignment of the views.
@@ -40,6 +42,7 @@ impl Default for RefineParams {
             patch_m: 0.02,
             patch_sigma_m: 0.0001,
             slope_sigma_rad: 0.15,
+            max_albedos: 4,
             trust: ImageTrust::default(),
             alignment: AlignmentParams::default(),
         }
@@ -60,6 +63,8 @@ impl RefineParams {
             ("patch_sigma_m", self.patch_sigma_m, 1e-6, 0.1),
             ("slope_sigma_rad", self.slope_sigma_rad, 1e-4, 2.0),
             ("patch_m", self.patch_m, 1e-3, 1.0),
+            ("max_albedos", self.max_albedos as f64, 1.0, 8.0),
+            ("trust.max_slow_gain", self.trust.max_slow_gain, 0.0, 10.0),
             ("trust.model_error", self.trust.model_error, 0.0, 1.0),
             (
                 "trust.misregistration_px",

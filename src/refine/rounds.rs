@@ -3,15 +3,17 @@
 use super::albedo::Albedo;
 use super::alignment::{AlignmentTarget, align_view};
 use super::energy::{PriorWeights, Problem, Surface, unit_normal};
+use super::observations::Observations;
 use super::params::RefineParams;
 use super::patches::Patch;
-use super::sites::Sites;
+use super::sites::{Sites, ViewSet};
 use super::solver::{Iteration, Pattern, RefineStatus, SolverParams, minimise};
 use super::view::View;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// What stays the same over all rounds.
 pub struct Rounds<'a> {
@@ -28,6 +30,7 @@ pub struct Rounds<'a> {
 }
 
 /// What the rounds refine.
+#[derive(Clone)]
 pub struct State {
     /// The surface.
     pub surface: Surface,
@@ -43,24 +46,54 @@ const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
     pub fn first_albedo(&self, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Option<Albedo> {
-        let mut albedo = Albedo::estimate(mesh, self.neighbours, sites, views, None)?;
+        let observations = Observations::new(sites, views);
+        let mut albedo = self.estimate_albedo(mesh, &observations, None)?;
         for _ in 0..3 {
-            let scale = sites.residual_scale(mesh, views, &albedo.by_face);
             let loss = Tukey {
-                scale,
+                scale: observations.residual_scale(mesh, &albedo.by_face),
                 cutoff: CUTOFFS[2],
             };
-            albedo = Albedo::estimate(mesh, self.neighbours, sites, views, Some((&albedo, loss)))?;
+            let current = Some((&albedo, loss));
+            albedo = self.estimate_albedo(mesh, &observations, current)?;
         }
         Some(albedo)
     }
 
-    /// Runs one round.
+    fn estimate_albedo(
+        &self,
+        mesh: &TriMesh,
+        observations: &Observations,
+        current: Option<(&Albedo, Tukey)>,
+    ) -> Option<Albedo> {
+        let max_groups = self.params.max_albedos;
+        Albedo::estimate(mesh, self.neighbours, observations, max_groups, current)
+    }
+
+    /// Runs rounds with a set of views; the others are left as they are. `accepted` is told of each step and returns false
+    /// to cancel.
     pub fn run(
         &self,
-        round: usize,
+        rounds: Range<usize>,
+        learning: ViewSet,
         state: &mut State,
-        mut accepted: impl FnMut(Iteration) -> bool,
+        accepted: &mut impl FnMut(Iteration) -> bool,
+    ) -> RefineStatus {
+        let mut status = RefineStatus::IterationLimit;
+        for round in rounds {
+            status = self.round(round, learning, state, accepted);
+            if status.is_final() {
+                break;
+            }
+        }
+        status
+    }
+
+    fn round(
+        &self,
+        round: usize,
+        learning: ViewSet,
+        state: &mut State,
+        accepted: &mut impl FnMut(Iteration) -> bool,
     ) -> RefineStatus {
         let State {
             surface,
@@ -68,40 +101,25 @@ impl Rounds<'_> {
             albedo,
         } = state;
         surface.directions = surface.mesh.vertex_normals();
-        let sites = Sites::new(&surface.mesh, views);
+        let sites = Sites::new(&surface.mesh, views, learning);
         let cutoff = CUTOFFS[round.min(CUTOFFS.len() - 1)];
-        let loss_of = |views: &[View], albedo: &Albedo| Tukey {
-            scale: sites.residual_scale(&surface.mesh, views, &albedo.by_face),
+        let mesh = &surface.mesh;
+        let loss_of = |observations: &Observations, albedo: &Albedo| Tukey {
+            scale: observations.residual_scale(mesh, &albedo.by_face),
             cutoff,
         };
-        let loss = loss_of(views, albedo);
-        self.align(&surface.mesh, &sites, views, albedo, loss);
-        let mean_gain = take_mean_gain(views);
+        let loss = loss_of(&Observations::for_scale(&sites, views), albedo);
+        self.align(mesh, &sites, views, albedo, loss);
+        let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let loss = loss_of(views, albedo);
-        if let Some(next) = Albedo::estimate(
-            &surface.mesh,
-            self.neighbours,
-            &sites,
-            views,
-            Some((albedo, loss)),
-        ) {
+        let observations = Observations::new(&sites, views);
+        let loss = loss_of(&observations, albedo);
+        let current = Some((&*albedo, loss));
+        if let Some(next) = self.estimate_albedo(mesh, &observations, current) {
             *albedo = next;
         }
-        views.par_iter_mut().enumerate().for_each(|(k, view)| {
-            fit_gain_field(
-                view,
-                &surface.mesh,
-                &sites,
-                &sites.faces_of(k),
-                &albedo.by_face,
-                loss,
-            );
-        });
         let problem = Problem {
-            views,
-            visible: &sites.visible,
-            sites: &sites.points,
+            observations: &observations,
             albedo: &albedo.by_face,
             loss,
             priors: prior_weights(self.params),
@@ -118,6 +136,30 @@ impl Rounds<'_> {
         })
     }
 
+    /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held.
+    pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &[f64]) {
+        let alone = std::slice::from_ref(view);
+        let sites = Sites::new(mesh, alone, 1);
+        let faces = sites.faces_of(0);
+        let centre = centre_of(mesh);
+        for cutoff in CUTOFFS {
+            let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
+            let scale = observations.residual_scale(mesh, albedo);
+            let loss = Tukey { scale, cutoff };
+            let target = AlignmentTarget {
+                mesh,
+                sites: &sites.points,
+                faces: &faces,
+                albedo,
+                centre,
+                loss,
+            };
+            align_view(view, &target, &self.params.alignment);
+            fit_gain_field(view, &target);
+        }
+    }
+
+    /// Aligns the views and takes up what slow differences of brightness they then have.
     fn align(
         &self,
         mesh: &TriMesh,
@@ -137,13 +179,19 @@ impl Rounds<'_> {
                 loss,
             };
             align_view(view, &target, &self.params.alignment);
+            fit_gain_field(view, &target);
         });
     }
 }
 
-/// Divides all gains by their geometric mean and returns it: gains and albedo share one scale, which is the albedo's.
-fn take_mean_gain(views: &mut [View]) -> f64 {
-    let mean = (views.iter().map(|view| view.gain.ln()).sum::<f64>() / views.len() as f64).exp();
+/// Divides all gains by the geometric mean of a set's and returns it: gains and albedo share one scale, which is the
+/// albedo's.
+fn take_mean_gain(views: &mut [View], learning: ViewSet) -> f64 {
+    let learnt = views.iter().enumerate();
+    let learnt = learnt.filter(|(k, _)| learning >> k & 1 == 1);
+    let logs = learnt.map(|(_, view)| view.gain.ln());
+    let (sum, n) = logs.fold((0.0, 0.0), |(sum, n), log| (sum + log, n + 1.0));
+    let mean = f64::exp(sum / f64::max(n, 1.0));
     views.iter_mut().for_each(|view| view.gain /= mean);
     mean
 }
@@ -152,34 +200,25 @@ fn take_mean_gain(views: &mut [View]) -> f64 {
 const GAIN_FIELD_PRIOR: f64 = 8000.0;
 
 /// Re-estimates the slow gain over a view's image from the sites that it sees.
-fn fit_gain_field(
-    view: &mut View,
-    mesh: &TriMesh,
-    sites: &Sites,
-    faces: &[u32],
-    albedo: &[f64],
-    loss: Tukey,
-) {
+fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
     let mut sums = view.gain_field.sums();
-    for &face in faces {
+    for &face in target.faces {
         let face = face as usize;
-        let Some((normal, area)) = unit_normal(mesh, face) else {
+        let Some((normal, area)) = unit_normal(target.mesh, face) else {
             continue;
         };
-        let Some(sample) = view.sample(&sites.points[face], &normal) else {
+        let Some(sample) = view.sample(&target.sites[face], &normal) else {
             continue;
         };
-        let predicted = albedo[face] * sample.unit_prediction;
-        let without_field = predicted * view.gain / sample.gain;
-        let covered = view
-            .pixels_covered(&sites.points[face], &normal, area)
-            .min(1.0);
-        let robust = loss.weight((sample.observed - predicted) / sample.sigma);
+        let look = &sample.look;
+        let predicted = target.albedo[face] * sample.unit_prediction;
+        let without_field = predicted * view.gain / look.gain;
+        let robust = target.loss.weight((look.observed - predicted) / look.sigma);
         sums.add(
-            &sample.pixel,
+            &look.pixel,
             without_field,
-            sample.observed,
-            robust * covered / (sample.sigma * sample.sigma),
+            look.observed,
+            robust * sample.covered(view, area) / (look.sigma * look.sigma),
         );
     }
     view.gain_field = sums.solve(GAIN_FIELD_PRIOR);

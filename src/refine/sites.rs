@@ -1,9 +1,8 @@
 //! Where the surface is compared with the images: one site a facet, at its centroid.
 
-use super::energy::{unit_normal, views_of};
+use super::energy::unit_normal;
 use super::view::View;
 use crate::geometry::TriMesh;
-use crate::shading::median_absolute_deviation;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
@@ -12,7 +11,7 @@ pub struct Sites {
     /// Centroid of each face.
     pub points: Vec<Point3<f64>>,
     /// Bit k of a face is set where view k sees it.
-    pub visible: Vec<u64>,
+    pub visible: Vec<ViewSet>,
 }
 
 /// How well a view's image is predicted.
@@ -23,9 +22,12 @@ pub struct ViewError {
     pub rmse: f64,
 }
 
+/// A set of views: bit k stands for view k.
+pub type ViewSet = u64;
+
 impl Sites {
-    /// Finds the sites of a mesh and who sees them.
-    pub fn new(mesh: &TriMesh, views: &[View]) -> Sites {
+    /// Finds the sites of a mesh and who of a set of views sees them.
+    pub fn new(mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
         let points: Vec<Point3<f64>> = (0..mesh.faces.len())
             .map(|face| mesh.centroid(face))
             .collect();
@@ -39,7 +41,7 @@ impl Sites {
                 let seen = views
                     .iter()
                     .enumerate()
-                    .filter(|(_, view)| view.sees(point, &normal));
+                    .filter(|(k, view)| set >> k & 1 == 1 && view.sees(point, &normal));
                 seen.fold(0, |mask, (k, _)| mask | 1 << k)
             })
             .collect();
@@ -51,25 +53,6 @@ impl Sites {
         (0..self.visible.len() as u32)
             .filter(|&face| self.visible[face as usize] >> view & 1 == 1)
             .collect()
-    }
-
-    /// Robust standard deviation of all residuals, in sigmas, at least 1: [`median_absolute_deviation`].
-    pub fn residual_scale(&self, mesh: &TriMesh, views: &[View], albedo: &[f64]) -> f64 {
-        let mut magnitudes: Vec<f64> = (0..mesh.faces.len())
-            .into_par_iter()
-            .step_by(5)
-            .flat_map_iter(|face| {
-                let normal = unit_normal(mesh, face).map(|(normal, _)| normal);
-                views_of(self.visible[face], views).filter_map(move |view| {
-                    let sample = view.sample(&self.points[face], &normal?)?;
-                    Some(
-                        (sample.observed - albedo[face] * sample.unit_prediction).abs()
-                            / sample.sigma,
-                    )
-                })
-            })
-            .collect();
-        median_absolute_deviation(&mut magnitudes).max(1.0)
     }
 
     /// Rendered against observed linear intensity, by view.
@@ -87,8 +70,9 @@ impl Sites {
                     let Some(sample) = view.sample(&self.points[face], &normal) else {
                         continue;
                     };
-                    square += (sample.observed - albedo[face] * sample.unit_prediction).powi(2);
-                    sum += sample.observed;
+                    square +=
+                        (sample.look.observed - albedo[face] * sample.unit_prediction).powi(2);
+                    sum += sample.look.observed;
                     n_sites += 1;
                 }
                 let n = n_sites.max(1) as f64;

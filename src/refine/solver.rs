@@ -24,6 +24,13 @@ pub enum RefineStatus {
     Singular,
 }
 
+impl RefineStatus {
+    /// Whether no further round makes sense.
+    pub fn is_final(self) -> bool {
+        matches!(self, RefineStatus::Cancelled | RefineStatus::Singular)
+    }
+}
+
 /// One accepted step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Iteration {

@@ -3,11 +3,14 @@
 use super::alignment::{AlignmentParams, AlignmentTarget, align_view};
 use super::couplings::Couplings;
 use super::energy::{PriorWeights, Problem, Surface};
+use super::observations::Observations;
 use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views};
 use super::sites::Sites;
-use super::{RefineError, RefineParams, RefineStatus, patches, refine};
+use super::view::Optics;
+use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::shading::Tukey;
+use crate::snapshot::ShadingSnapshot;
 use nalgebra::{Point3, Vector6};
 
 const RIPPLED: RippledPlane = RippledPlane {
@@ -21,6 +24,20 @@ fn surface_of(mesh: TriMesh) -> Surface {
         directions: mesh.vertex_normals(),
         mesh,
         total_m: vec![0.0; n],
+    }
+}
+
+/// The whole mesh as the object.
+fn whole<'a>(
+    base: &'a TriMesh,
+    snapshots: &'a [ShadingSnapshot],
+    optics: &'a Optics,
+) -> Subject<'a> {
+    Subject {
+        scene: base,
+        object: base,
+        snapshots,
+        optics,
     }
 }
 
@@ -39,14 +56,12 @@ fn gradient_matches_central_differences_of_the_energy() {
     let mesh = FLAT.mesh(0.004);
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
     let surface = shaken(&surface_of(mesh), 1e-4);
-    let sites = Sites::new(&surface.mesh, &views);
+    let sites = Sites::new(&surface.mesh, &views, u64::MAX);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let problem = Problem {
-        views: &views,
-        visible: &sites.visible,
-        sites: &sites.points,
+        observations: &Observations::new(&sites, &views),
         albedo: &vec![ALBEDO; surface.mesh.faces.len()],
         loss: Tukey {
             scale: 2.0,
@@ -86,7 +101,7 @@ fn the_true_surface_has_almost_no_residual() {
     let optics = optics(&rays, &calibration);
     let mesh = RIPPLED.mesh(0.0012);
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
-    let sites = Sites::new(&mesh, &views);
+    let sites = Sites::new(&mesh, &views, u64::MAX);
     let albedo = vec![ALBEDO; mesh.faces.len()];
     for error in sites.view_errors(&mesh, &views, &albedo) {
         assert!(error.n_sites > 3000);
@@ -105,7 +120,7 @@ fn alignment_brings_a_moved_view_back() {
     let moved = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0012, -0.0009, 0.0));
     views[0].camera_from_world = moved * truth;
     views[0].gain = 1.03;
-    let sites = Sites::new(&mesh, &views);
+    let sites = Sites::new(&mesh, &views, u64::MAX);
     let target = AlignmentTarget {
         mesh: &mesh,
         sites: &sites.points,
@@ -143,7 +158,7 @@ fn refinement_finds_ripples_that_the_base_lacks() {
         ..RefineParams::default()
     };
     let mut energies = Vec::new();
-    let refined = refine(&base, &base, &snapshots, &optics, &params, |iteration| {
+    let refined = refine(&whole(&base, &snapshots, &optics), &params, |iteration| {
         energies.push((iteration.energy_before, iteration.energy_after));
         true
     })
@@ -170,6 +185,10 @@ fn refinement_finds_ripples_that_the_base_lacks() {
         "mean normal error from {before} to {after} rad"
     );
     assert_eq!(refined.albedo_groups.len(), 1);
+    let held_out = refined.judgement.overall;
+    assert_eq!(refined.judgement.views.len(), 2);
+    assert!(held_out.refined.intensity < 0.5 * held_out.base.intensity);
+    assert!(held_out.refined.gradient < 0.5 * held_out.base.gradient);
     assert!(
         refined
             .views
@@ -191,7 +210,7 @@ fn cancelling_keeps_what_was_reached() {
         edge_length_m: 0.003,
         ..RefineParams::default()
     };
-    let refined = refine(&base, &base, &snapshots, &optics, &params, |_| false).expect("visible");
+    let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| false).expect("visible");
     assert_eq!(refined.status, RefineStatus::Cancelled);
     assert_eq!(refined.iterations.len(), 1);
 }
@@ -204,10 +223,7 @@ fn what_nobody_sees_is_refused() {
     let mut away = FLAT.snapshot(&optics, &poses(0.0)[0]);
     away.world_from_camera.translation.vector.z = 2.0;
     let result = refine(
-        &base,
-        &base,
-        &[away],
-        &optics,
+        &whole(&base, &[away], &optics),
         &RefineParams::default(),
         |_| true,
     );

@@ -7,8 +7,10 @@ use depth_camera::Image;
 /// Linear intensity with its standard deviation, both as shares of full scale on the optical axis.
 #[derive(Clone, Debug)]
 pub struct LinearImage {
-    /// Linear intensity; NaN where the pixel was saturated, black, or has no ray.
+    /// Linear intensity with the pixel's own blur taken off; NaN where the pixel was saturated, black, or has no ray.
     pub value: Image<f32>,
+    /// The same as the pixel integrated it, blur and all.
+    pub integrated: Image<f32>,
     /// Standard deviation of it.
     pub sigma: Image<f32>,
 }
@@ -44,8 +46,10 @@ pub fn linearise(
         );
     }
     let (width, height) = (counts.width(), counts.height());
+    let integrated = Image::from_vec(width, height, value);
     LinearImage {
-        value: sharpen(&Image::from_vec(width, height, value)),
+        value: sharpen(&integrated),
+        integrated,
         sigma: Image::from_vec(width, height, sigma),
     }
 }

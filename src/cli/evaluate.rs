@@ -1,0 +1,268 @@
+//! `relief evaluate`: how well refinement of a scan explains images that it was not made from, as in Section 5 of the paper.
+//!
+//! Views are left out in folds; each is rendered from the base and from the refined surface and compared with what the sensor
+//! saw. With `--ablations` the same is done for fewer views, for other values of gamma and without pose refinement, all judged
+//! by the same views. The report is Markdown with pictures beside it.
+
+use super::{
+    EvaluateArgs,
+    run::{self, Verdict},
+};
+use anyhow::{Context, ensure};
+use depth_camera::CameraInfo;
+use relief::{
+    config::{self, CalibrationPlaces, Config, Overrides},
+    export::{
+        Ablation, EvaluationPictures, EvaluationReport, LeftOutView, MeanView, PhongParams,
+        PictureSize, phong, three_views, write_evaluation,
+    },
+    geometry::{CameraModel, RayGrid, TriMesh},
+    pipeline::{OutputFolder, RecordedScan},
+    refine::{
+        HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate, refine,
+        select_object, select_roi, validate,
+    },
+    shading::Calibration,
+    snapshot::ShadingSnapshot,
+};
+
+/// `relief evaluate`.
+pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
+    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
+    let recorded = RecordedScan::read(&args.output)?;
+    let folder = run::calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let places = CalibrationPlaces {
+        given: args.calibration.as_deref(),
+        folder: &folder,
+        session: None,
+    };
+    let found = config::find_calibration(&recorded.info, &places)?;
+    let out = OutputFolder::claim(&args.out)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(args.threads.unwrap_or_else(run::all_processors).get())
+        .build()?;
+    let scan = Scan::new(recorded, args)?;
+    let report = pool.install(|| scan.evaluate(args, &found.calibration, &config.refine))?;
+    write_evaluation(out.path(), &report)?;
+    match args.json {
+        true => println!("{}", serde_json::to_string(&report)?),
+        false => println!("evaluation: {}", out.path().join("evaluation.md").display()),
+    }
+    Ok(Verdict::Done)
+}
+
+/// What is evaluated.
+struct Scan {
+    session: String,
+    info: CameraInfo,
+    base: TriMesh,
+    object: TriMesh,
+    mean_view: MeanView,
+    snapshots: Vec<ShadingSnapshot>,
+}
+
+impl Scan {
+    fn new(recorded: RecordedScan, args: &EvaluateArgs) -> anyhow::Result<Self> {
+        let RecordedScan { info, scan } = recorded;
+        let object = match &args.roi {
+            Some(roi) => select_roi(&scan.base, &roi.0),
+            None => select_object(&scan.base, &scan.world_from_cameras).0,
+        };
+        ensure!(
+            !object.faces.is_empty(),
+            "no object stands out of the scene; give its box by --roi"
+        );
+        let snapshots = scan.snapshots.context("no shading images")?.accepted;
+        ensure!(
+            snapshots.len() > 1,
+            "{} shading images, at least 2 are needed to leave one out",
+            snapshots.len()
+        );
+        Ok(Scan {
+            session: run::session_name(&args.output),
+            info,
+            object,
+            mean_view: MeanView::from_poses(&scan.world_from_cameras),
+            base: scan.base,
+            snapshots,
+        })
+    }
+
+    fn evaluate(
+        &self,
+        args: &EvaluateArgs,
+        calibration: &Calibration,
+        params: &RefineParams,
+    ) -> anyhow::Result<EvaluationReport> {
+        let rays = RayGrid::new(CameraModel::new(self.info.intrinsics));
+        let optics = self.optics(&rays, calibration)?;
+        let subject = self.subject(&optics);
+        let n_folds = args.folds.min(self.snapshots.len());
+        let judged = cross_validate(&subject, params, n_folds, |fold| {
+            tracing::info!(fold = fold + 1, of = n_folds, "fold judged");
+            true
+        })?;
+        let ablations = match args.ablations {
+            true => self.ablations(&rays, calibration, params)?,
+            false => Vec::new(),
+        };
+        let refined = refine(&subject, params, |_| true);
+        Ok(EvaluationReport {
+            session: self.session.clone(),
+            n_folds,
+            overall: figures(None, &Judgement::of(&judged).overall),
+            views: judged.iter().map(|view| self.left_out(view)).collect(),
+            ablations,
+            not_refined_reason: refined.as_ref().err().map(ToString::to_string),
+            pictures: self.pictures(&judged, refined.as_ref().ok().map(|refined| &refined.mesh)),
+        })
+    }
+
+    fn optics<'a>(
+        &self,
+        rays: &'a RayGrid,
+        calibration: &'a Calibration,
+    ) -> anyhow::Result<Optics<'a>> {
+        let light = self
+            .info
+            .light
+            .context("the scan does not say where its light is")?;
+        Ok(Optics {
+            rays,
+            light: calibration.light.near_light(&light),
+            full_scale: self
+                .info
+                .ir_full_scale
+                .context("the scan does not say what full scale is")?,
+            calibration,
+        })
+    }
+
+    fn subject<'a>(&'a self, optics: &'a Optics<'a>) -> Subject<'a> {
+        Subject {
+            scene: &self.base,
+            object: &self.object,
+            snapshots: &self.snapshots,
+            optics,
+        }
+    }
+
+    fn left_out(&self, view: &JudgedView) -> LeftOutView {
+        let frame_id = self.snapshots[view.index].frame_id;
+        figures(Some(frame_id), &view.figures())
+    }
+
+    /// Every variation, judged by every fourth view and made from the rest.
+    fn ablations(
+        &self,
+        rays: &RayGrid,
+        calibration: &Calibration,
+        params: &RefineParams,
+    ) -> anyhow::Result<Vec<Ablation>> {
+        /// Shares of gamma that are tried.
+        const GAMMAS: [f64; 2] = [0.85, 1.15];
+        let n_views = self.snapshots.len();
+        let judges: Vec<usize> = (1..n_views).step_by(4).collect();
+        let rest: Vec<usize> = (0..n_views).filter(|view| !judges.contains(view)).collect();
+        let judged =
+            |what: String, calibration: &Calibration, params: &RefineParams, learning: &[usize]| {
+                let optics = self.optics(rays, calibration)?;
+                let views = validate(&self.subject(&optics), params, learning, &judges)?;
+                let overall = Judgement::of(&views).overall;
+                tracing::info!(what, "ablation judged");
+                anyhow::Ok(Ablation {
+                    what,
+                    figures: figures(None, &overall),
+                    slow_gain: overall.slow_gain,
+                })
+            };
+        let mut ablations = vec![judged(
+            "as configured".to_owned(),
+            calibration,
+            params,
+            &rest,
+        )?];
+        for n_learning in [1, 3, 6, 12, 24].into_iter().filter(|&n| n < rest.len()) {
+            let spread: Vec<usize> = (0..n_learning)
+                .map(|k| rest[k * rest.len() / n_learning])
+                .collect();
+            ablations.push(judged(
+                format!("{n_learning} views"),
+                calibration,
+                params,
+                &spread,
+            )?);
+        }
+        let mut held = params.clone();
+        held.alignment.iterations = 0;
+        ablations.push(judged(
+            "poses as tracked".to_owned(),
+            calibration,
+            &held,
+            &rest,
+        )?);
+        let one_albedo = RefineParams {
+            max_albedos: 1,
+            ..params.clone()
+        };
+        ablations.push(judged(
+            "one albedo".to_owned(),
+            calibration,
+            &one_albedo,
+            &rest,
+        )?);
+        for share in GAMMAS {
+            let gamma = share * calibration.gamma;
+            let other = Calibration {
+                gamma,
+                ..calibration.clone()
+            };
+            ablations.push(judged(format!("gamma {gamma:.2}"), &other, params, &rest)?);
+        }
+        Ok(ablations)
+    }
+
+    fn pictures(&self, judged: &[JudgedView], refined: Option<&TriMesh>) -> EvaluationPictures {
+        let size = PictureSize {
+            width: 480,
+            height: 360,
+        };
+        let front = three_views(&self.object, &self.mean_view, size).map(|[front, ..]| front);
+        let draw = |mesh: &TriMesh| {
+            let view = front.as_ref()?;
+            Some(phong(
+                mesh,
+                &mesh.vertex_normals(),
+                view,
+                &PhongParams::default(),
+            ))
+        };
+        // The view in the middle of the order of refined errors stands for all.
+        let mut order: Vec<&JudgedView> = judged.iter().collect();
+        let refined_error = |view: &JudgedView| view.figures().refined.intensity;
+        order.sort_by(|a, b| refined_error(a).total_cmp(&refined_error(b)));
+        let middle = order.get(order.len() / 2);
+        EvaluationPictures {
+            base: draw(&self.object),
+            refined: refined.and_then(draw),
+            error_maps: middle.map(|view| [view.base_error.clone(), view.refined_error.clone()]),
+            error_frame_id: middle.map(|view| self.snapshots[view.index].frame_id),
+        }
+    }
+}
+
+fn figures(frame_id: Option<u64>, held_out: &HeldOut) -> LeftOutView {
+    let HeldOut {
+        n_pixels,
+        base,
+        refined,
+        noise,
+        ..
+    } = held_out;
+    LeftOutView {
+        frame_id,
+        n_pixels: *n_pixels,
+        intensity: [base.intensity, refined.intensity, noise.intensity],
+        gradient: [base.gradient, refined.gradient, noise.gradient],
+    }
+}

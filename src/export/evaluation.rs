@@ -1,0 +1,231 @@
+//! The report of an evaluation: Markdown, JSON, and pictures beside them.
+
+use super::{
+    ExportError, atomic::write_atomically, colour_scale::ColourScale, encode_png_rgb,
+    encode_png_rgba,
+};
+use depth_camera::Image;
+use serde::Serialize;
+use std::{fmt::Write as _, fs, io::Write, path::Path};
+
+/// How refinement explains images that it was not made from.
+#[derive(Clone, Debug, Serialize)]
+pub struct EvaluationReport {
+    /// Name of the scan.
+    pub session: String,
+    /// Refinements made, each without its share of the views.
+    pub n_folds: usize,
+    /// All views together.
+    pub overall: LeftOutView,
+    /// Each view.
+    pub views: Vec<LeftOutView>,
+    /// The same with something changed.
+    pub ablations: Vec<Ablation>,
+    /// Why the refined mesh is not delivered, if it is not.
+    pub not_refined_reason: Option<String>,
+    /// The pictures.
+    #[serde(skip)]
+    pub pictures: EvaluationPictures,
+}
+
+/// A view that was left out: root mean squares as shares of its mean observed linear intensity.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct LeftOutView {
+    /// Its frame; `None` for several views together.
+    pub frame_id: Option<u64>,
+    /// Pixels compared.
+    pub n_pixels: usize,
+    /// Error of the intensity: base mesh, refined mesh, noise of the sensor.
+    pub intensity: [f64; 3],
+    /// Error of its gradient per pixel, in the same order.
+    pub gradient: [f64; 3],
+}
+
+/// One variation.
+#[derive(Clone, Debug, Serialize)]
+pub struct Ablation {
+    /// What was changed.
+    pub what: String,
+    /// All judging views together.
+    pub figures: LeftOutView,
+    /// Root mean square of the gains, less 1, that took up slow differences of brightness.
+    pub slow_gain: f64,
+}
+
+/// What is shown.
+#[derive(Clone, Debug, Default)]
+pub struct EvaluationPictures {
+    /// The base mesh, shaded.
+    pub base: Option<Image<[u8; 3]>>,
+    /// The refined mesh, shaded.
+    pub refined: Option<Image<[u8; 3]>>,
+    /// Observed less rendered linear intensity of a view, on base and refined surface; NaN where not compared.
+    pub error_maps: Option<[Image<f32>; 2]>,
+    /// That view's frame.
+    pub error_frame_id: Option<u64>,
+}
+
+/// Full colour of an error map, share of full scale.
+const ERROR_LIMIT: f64 = 0.1;
+
+/// Writes `evaluation.md`, `evaluation.json` and the pictures into a folder.
+///
+/// # Errors
+/// [`ExportError::Write`] if a file cannot be written.
+pub fn write_evaluation(folder: &Path, report: &EvaluationReport) -> Result<(), ExportError> {
+    let images = folder.join("images");
+    fs::create_dir_all(&images).map_err(|cause| ExportError::write(&images, cause))?;
+    let EvaluationPictures {
+        base,
+        refined,
+        error_maps,
+        ..
+    } = &report.pictures;
+    for (name, picture) in [("base.png", base), ("refined.png", refined)] {
+        if let Some(picture) = picture {
+            write_atomically(&images.join(name), |file| {
+                file.write_all(&encode_png_rgb(picture)?)
+            })?;
+        }
+    }
+    let scale = ColourScale::symmetric(ERROR_LIMIT);
+    for (name, map) in ["error-base.png", "error-refined.png"]
+        .iter()
+        .zip(error_maps.iter().flatten())
+    {
+        let picture = map.map(|&error| scale.colour(f64::from(error)));
+        write_atomically(&images.join(name), |file| {
+            file.write_all(&encode_png_rgba(&picture)?)
+        })?;
+    }
+    write_atomically(&folder.join("evaluation.json"), |file| {
+        serde_json::to_writer_pretty(&mut *file, report)?;
+        file.write_all(b"\n")
+    })?;
+    write_atomically(&folder.join("evaluation.md"), |file| {
+        file.write_all(markdown(report).as_bytes())
+    })
+}
+
+fn markdown(report: &EvaluationReport) -> String {
+    let mut text = format!("# Evaluation of {}\n\n", report.session);
+    let mut line = |line: &str| {
+        // Writing into a string does not fail.
+        let _ = writeln!(text, "{line}");
+    };
+    line(&format!(
+        "Views left out in {} folds, rendered pixel by pixel from base and refined mesh and compared with what the sensor saw: root mean \
+         squares as shares of the mean linear intensity.\n",
+        report.n_folds
+    ));
+    if let Some(reason) = &report.not_refined_reason {
+        line(&format!("The refined mesh is not delivered: {reason}.\n"));
+    }
+    line(&format!("| frame | {COLUMNS}"));
+    line(&format!("|---|{RULE}"));
+    for view in &report.views {
+        let name = view
+            .frame_id
+            .map_or_else(String::new, |frame_id| frame_id.to_string());
+        line(&row(&name, view));
+    }
+    line(&row("all", &report.overall));
+    if !report.ablations.is_empty() {
+        line(
+            "\n## With something changed\n\nAll judged by the same quarter of the views, none of which was learnt from.\n",
+        );
+        line(&format!("| changed | {COLUMNS} slow gain |"));
+        line(&format!("|---|{RULE}---|"));
+        for ablation in &report.ablations {
+            line(&format!(
+                "{} {:.3} |",
+                row(&ablation.what, &ablation.figures),
+                ablation.slow_gain
+            ));
+        }
+    }
+    line("\n## Pictures\n");
+    let pictures = &report.pictures;
+    for (name, what, is_there) in [
+        ("base", "base mesh", pictures.base.is_some()),
+        ("refined", "refined mesh", pictures.refined.is_some()),
+    ] {
+        if is_there {
+            line(&format!("![{what}](images/{name}.png)"));
+        }
+    }
+    if let Some(frame_id) = pictures.error_frame_id {
+        line(&format!(
+            "\nObserved less rendered intensity of frame {frame_id}, base mesh and refined mesh; red and blue are {ERROR_LIMIT} of full \
+             scale:\n\n![base](images/error-base.png) ![refined](images/error-refined.png)"
+        ));
+    }
+    text
+}
+
+const COLUMNS: &str =
+    "pixels | intensity base % | refined % | noise % | gradient base % | refined % | noise % |";
+const RULE: &str = "---|---|---|---|---|---|---|";
+
+fn row(name: &str, view: &LeftOutView) -> String {
+    let mut text = format!("| {name} | {} |", view.n_pixels);
+    for share in view.intensity.iter().chain(&view.gradient) {
+        // Writing into a string does not fail.
+        let _ = write!(text, " {:.2} |", 100.0 * share);
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_and_pictures_stand_in_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let view = LeftOutView {
+            frame_id: Some(17),
+            n_pixels: 1234,
+            intensity: [0.1, 0.05, 0.01],
+            gradient: [0.08, 0.04, 0.012],
+        };
+        let report = EvaluationReport {
+            session: "pot".into(),
+            n_folds: 4,
+            overall: LeftOutView {
+                frame_id: None,
+                ..view
+            },
+            views: vec![view],
+            ablations: vec![Ablation {
+                what: "3 views".into(),
+                figures: view,
+                slow_gain: 0.021,
+            }],
+            not_refined_reason: None,
+            pictures: EvaluationPictures {
+                error_maps: Some([Image::filled(3, 2, 0.01), Image::filled(3, 2, f32::NAN)]),
+                error_frame_id: Some(17),
+                ..EvaluationPictures::default()
+            },
+        };
+        write_evaluation(folder.path(), &report).unwrap();
+        let text = fs::read_to_string(folder.path().join("evaluation.md")).unwrap();
+        assert!(
+            text.contains("| 17 | 1234 | 10.00 | 5.00 | 1.00 | 8.00 | 4.00 | 1.20 |"),
+            "{text}"
+        );
+        assert!(
+            text.contains("| 3 views |") && text.contains(" 0.021 |"),
+            "{text}"
+        );
+        assert!(folder.path().join("images/error-base.png").is_file());
+        assert!(
+            !folder.path().join("images/base.png").exists() && !text.contains("base.png)\n![ref")
+        );
+        let json: serde_json::Value =
+            serde_json::from_slice(&fs::read(folder.path().join("evaluation.json")).unwrap())
+                .unwrap();
+        assert_eq!(json["views"][0]["intensity"][1], 0.05);
+    }
+}

@@ -1,0 +1,118 @@
+//! Reads back the shading images that [`write_snapshots`](super::write_snapshots) wrote.
+
+use super::{
+    ExportError, decode_png_grey16, read_trajectory,
+    snapshots::{DEPTH_UNITS_PER_METRE, FILES, folder_name},
+};
+use crate::geometry::Pose;
+use depth_camera::Image;
+use std::{fs, path::Path};
+
+/// One shading image as it was read.
+#[derive(Clone, Debug)]
+pub struct StoredSnapshot {
+    /// Raw IR counts.
+    pub ir: Image<u16>,
+    /// Depth from the same pose, metres; 0 is none, everywhere in folders of versions that did not write it.
+    pub depth_m: Image<f32>,
+    /// Pose of the IR camera.
+    pub world_from_camera: Pose,
+    /// The device's own clock, seconds.
+    pub device_time_secs: f64,
+    /// Whatever else was known.
+    pub meta: serde_json::Value,
+}
+
+/// Reads `dir/snapshots/000`, `001`, … up to the first that is not whole; empty without any.
+///
+/// # Errors
+/// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be.
+pub fn read_snapshots(dir: &Path) -> Result<Vec<StoredSnapshot>, ExportError> {
+    let root = dir.join("snapshots");
+    let mut snapshots = Vec::new();
+    loop {
+        let folder = root.join(folder_name(snapshots.len()));
+        if !folder.join("meta.json").is_file() {
+            return Ok(snapshots);
+        }
+        snapshots.push(read_snapshot(&folder)?);
+    }
+}
+
+fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
+    let [ir, _, depth, pose, meta] = FILES.map(|name| folder.join(name));
+    let ir = read_png(&ir)?;
+    let depth_m = match depth.is_file() {
+        true => read_png(&depth)?.map(|&units| f32::from(units) / DEPTH_UNITS_PER_METRE),
+        false => Image::filled(ir.width(), ir.height(), 0.0),
+    };
+    if (depth_m.width(), depth_m.height()) != (ir.width(), ir.height()) {
+        let reason = format!("it is not of the image's {}×{}", ir.width(), ir.height());
+        return Err(ExportError::malformed(&depth, reason));
+    }
+    let (device_time_secs, world_from_camera) = read_trajectory(&pose)?
+        .first()
+        .copied()
+        .ok_or_else(|| ExportError::malformed(&pose, "it holds no pose".into()))?;
+    let text = fs::read_to_string(&meta).map_err(|cause| ExportError::read(&meta, cause))?;
+    let json = serde_json::from_str(&text);
+    Ok(StoredSnapshot {
+        ir,
+        depth_m,
+        world_from_camera,
+        device_time_secs,
+        meta: json.map_err(|error| ExportError::malformed(&meta, error.to_string()))?,
+    })
+}
+
+fn read_png(path: &Path) -> Result<Image<u16>, ExportError> {
+    let bytes = fs::read(path).map_err(|cause| ExportError::read(path, cause))?;
+    decode_png_grey16(&bytes).map_err(|reason| ExportError::malformed(path, reason))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{SnapshotRecord, write_snapshots};
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn snapshots_survive_the_round_trip() {
+        let folder = tempfile::tempdir().unwrap();
+        let ir = Image::from_vec(4, 3, (0..12u16).map(|k| k * 5000).collect());
+        let mask = Image::filled(4, 3, 255u8);
+        let depth_m = Image::from_vec(4, 3, (0..12).map(|k| k as f32 * 0.1).collect());
+        let record = SnapshotRecord {
+            ir: &ir,
+            mask: &mask,
+            depth_m: &depth_m,
+            world_from_camera: Pose::translation(0.1, 0.2, 0.5),
+            meta: json!({"frame_id": 3}),
+            device_time_secs: 1.5,
+        };
+        write_snapshots(folder.path(), &[record.clone(), record]).unwrap();
+        let back = read_snapshots(folder.path()).unwrap();
+        assert_eq!(back.len(), 2);
+        assert_eq!(back[1].ir, ir);
+        let pairs = back[1].depth_m.data().iter().zip(depth_m.data());
+        // Half of a step of 1/5000 m.
+        assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1.01e-4));
+        assert_eq!(back[1].world_from_camera.translation.y, 0.2);
+        assert_eq!(back[1].meta["frame_id"], json!(3));
+    }
+
+    #[test]
+    fn a_spoilt_image_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let spoilt = folder.path().join("snapshots/000");
+        fs::create_dir_all(&spoilt).unwrap();
+        assert!(read_snapshots(folder.path()).unwrap().is_empty());
+        fs::write(spoilt.join("meta.json"), "{}").unwrap();
+        fs::write(spoilt.join("ir.png"), "no image").unwrap();
+        let error = read_snapshots(folder.path()).unwrap_err().to_string();
+        assert!(
+            error.contains("ir.png") && error.contains("malformed"),
+            "{error}"
+        );
+    }
+}

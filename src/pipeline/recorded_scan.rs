@@ -1,0 +1,95 @@
+//! A scan read back from an output folder, to be refined again without fusing it again.
+
+use super::{
+    deliver::{BASE_PLY, TRAJECTORY},
+    fusion_stage::FusedScan,
+    snapshot_meta::SnapshotMeta,
+};
+use crate::{
+    export::{ExportError, StoredSnapshot, read_ply, read_snapshots, read_trajectory},
+    snapshot::{ShadingSnapshot, SnapshotSelection},
+};
+use depth_camera::CameraInfo;
+use std::path::{Path, PathBuf};
+
+/// A scan with the camera that made it.
+#[derive(Clone, Debug)]
+pub struct RecordedScan {
+    /// The camera.
+    pub info: CameraInfo,
+    /// Base mesh, poses and shading images.
+    pub scan: FusedScan,
+}
+
+/// Why an output folder gives no scan.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordedScanError {
+    /// A file is missing or spoilt.
+    #[error(transparent)]
+    File(#[from] ExportError),
+    /// There are no shading images, so that the camera is unknown too.
+    #[error("{} holds no shading images", .0.display())]
+    NoSnapshots(PathBuf),
+    /// What stands beside an image makes no sense.
+    #[error("{} is malformed: {reason}", path.display())]
+    Meta {
+        /// The file.
+        path: PathBuf,
+        /// The key and what is wrong.
+        reason: String,
+    },
+}
+
+impl RecordedScan {
+    /// Reads `base.ply`, `trajectory.txt` and `snapshots` of an output folder. Positions of the mesh have single precision.
+    ///
+    /// # Errors
+    /// If a file is missing or spoilt, or there are no shading images.
+    pub fn read(folder: &Path) -> Result<Self, RecordedScanError> {
+        let base = read_ply(&folder.join(BASE_PLY))?;
+        let trajectory = read_trajectory(&folder.join(TRAJECTORY))?;
+        let stored = read_snapshots(folder)?;
+        let mut info = None;
+        let mut accepted = Vec::with_capacity(stored.len());
+        for (index, snapshot) in stored.into_iter().enumerate() {
+            let in_meta = |reason: String| RecordedScanError::Meta {
+                path: folder.join(format!("snapshots/{index:03}/meta.json")),
+                reason,
+            };
+            let meta: SnapshotMeta = serde_json::from_value(snapshot.meta.clone())
+                .map_err(|error| in_meta(error.to_string()))?;
+            let camera = meta.camera().map_err(in_meta)?;
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            if (snapshot.ir.width(), snapshot.ir.height()) != (width, height) {
+                return Err(in_meta(format!(
+                    "the camera has {width}×{height} pixels, the image has not"
+                )));
+            }
+            info.get_or_insert(camera);
+            accepted.push(shading_snapshot(snapshot, &meta));
+        }
+        Ok(RecordedScan {
+            info: info.ok_or_else(|| RecordedScanError::NoSnapshots(folder.to_owned()))?,
+            scan: FusedScan {
+                base,
+                world_from_cameras: trajectory.into_iter().map(|(_, pose)| pose).collect(),
+                snapshots: Some(SnapshotSelection {
+                    accepted,
+                    rejected: Vec::new(),
+                }),
+                last_depth: None,
+            },
+        })
+    }
+}
+
+fn shading_snapshot(stored: StoredSnapshot, meta: &SnapshotMeta) -> ShadingSnapshot {
+    ShadingSnapshot {
+        frame_id: meta.frame_id,
+        device_time_secs: meta.device_time_secs,
+        n_exposures: meta.n_exposures,
+        ir_counts: stored.ir.map(|&counts| f32::from(counts)),
+        depth_m: stored.depth_m,
+        world_from_camera: stored.world_from_camera,
+    }
+}

@@ -1,0 +1,111 @@
+//! What stands beside a shading image in an output folder: all that is needed to refine from it again.
+
+use crate::snapshot::ShadingSnapshot;
+use depth_camera::{CameraInfo, Intrinsics, Light, LightKind, Sensor};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// The contents of `meta.json`.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct SnapshotMeta {
+    /// The (first) frame.
+    pub frame_id: u64,
+    /// The device's own clock, seconds.
+    pub device_time_secs: f64,
+    /// How many exposures were averaged.
+    pub n_exposures: usize,
+    sensor: String,
+    serial: String,
+    driver: Option<String>,
+    ir_full_scale: Option<f64>,
+    light_position_camera_m: Option<[f64; 3]>,
+    intrinsics: StoredIntrinsics,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+struct StoredIntrinsics {
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    k1: f64,
+    k2: f64,
+    p1: f64,
+    p2: f64,
+    k3: f64,
+}
+
+impl SnapshotMeta {
+    /// What is to be said of a snapshot and its camera.
+    pub fn new(snapshot: &ShadingSnapshot, info: &CameraInfo) -> Self {
+        let i = &info.intrinsics;
+        SnapshotMeta {
+            frame_id: snapshot.frame_id,
+            device_time_secs: snapshot.device_time_secs,
+            n_exposures: snapshot.n_exposures,
+            sensor: info.sensor.name().to_owned(),
+            serial: info.serial.clone(),
+            driver: info.driver.clone(),
+            ir_full_scale: info.ir_full_scale,
+            light_position_camera_m: info.light.map(|light| light.position_m),
+            intrinsics: StoredIntrinsics {
+                width: i.width,
+                height: i.height,
+                fx: i.fx,
+                fy: i.fy,
+                cx: i.cx,
+                cy: i.cy,
+                k1: i.k1,
+                k2: i.k2,
+                p1: i.p1,
+                p2: i.p2,
+                k3: i.k3,
+            },
+        }
+    }
+
+    /// As it is written.
+    pub fn to_json(&self) -> Value {
+        serde_json::to_value(self).expect("its keys are strings")
+    }
+
+    /// The camera; the error names the key that makes no sense.
+    pub fn camera(&self) -> Result<CameraInfo, String> {
+        let sensor = Sensor::from_name(&self.sensor)
+            .ok_or_else(|| format!("sensor is \"{}\", which is unknown", self.sensor))?;
+        let i = &self.intrinsics;
+        for (key, focal_px) in [("fx", i.fx), ("fy", i.fy)] {
+            if !(focal_px > 0.0 && focal_px.is_finite()) {
+                return Err(format!("intrinsics.{key} is {focal_px}, must be positive"));
+            }
+        }
+        let kind = match sensor {
+            Sensor::Kinect1 => LightKind::Lamp,
+            Sensor::Kinect2 => LightKind::Emitter,
+        };
+        let light = |position_m| Light { position_m, kind };
+        Ok(CameraInfo {
+            sensor,
+            serial: self.serial.clone(),
+            driver: self.driver.clone(),
+            intrinsics: Intrinsics {
+                width: i.width,
+                height: i.height,
+                fx: i.fx,
+                fy: i.fy,
+                cx: i.cx,
+                cy: i.cy,
+                k1: i.k1,
+                k2: i.k2,
+                p1: i.p1,
+                p2: i.p2,
+                k3: i.k3,
+            },
+            ir_full_scale: self.ir_full_scale,
+            light: self.light_position_camera_m.map(light),
+            n_frames: None,
+        })
+    }
+}

@@ -1,0 +1,193 @@
+//! Bad input: each kind is refused with its figure, or leaves the base surface alone.
+
+use super::error::MAX_BELIEVABLE_RMSE;
+use super::held_out::{HeldOut, ImageError, Judgement};
+use super::scenes::{RippledPlane, calibration, optics, poses, rays};
+use super::{RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
+use crate::geometry::TriMesh;
+use crate::snapshot::ShadingSnapshot;
+use nalgebra::Vector3;
+
+const RIPPLED: RippledPlane = RippledPlane {
+    amplitude_m: 0.0003,
+};
+const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
+
+/// Refines an object from images of the rippled plane that were changed.
+fn refine_from(
+    object: &TriMesh,
+    change: impl Fn(usize, &mut ShadingSnapshot),
+) -> Result<Refinement, RefineError> {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let mut snapshots: Vec<_> = poses(0.5)
+        .iter()
+        .map(|pose| RIPPLED.snapshot(&optics, pose))
+        .collect();
+    for (k, snapshot) in snapshots.iter_mut().enumerate() {
+        change(k, snapshot);
+    }
+    let subject = Subject {
+        scene: object,
+        object,
+        snapshots: &snapshots,
+        optics: &optics,
+    };
+    let params = RefineParams {
+        edge_length_m: 0.0025,
+        ..RefineParams::default()
+    };
+    refine(&subject, &params, |_| true)
+}
+
+#[test]
+fn a_surface_that_images_held_out_contradict_is_not_delivered() {
+    // The views that are learnt from show ripples, those held out (1 and 5) show the flat base.
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let flat: Vec<_> = poses(0.5)
+        .iter()
+        .map(|pose| FLAT.snapshot(&optics, pose))
+        .collect();
+    let result = refine_from(&FLAT.mesh(0.0025), |k, snapshot| {
+        if k % 4 == 1 {
+            *snapshot = flat[k].clone();
+        }
+    });
+    let Err(RefineError::WorseThanBase(held_out)) = result else {
+        panic!("delivered");
+    };
+    assert!(held_out.refined.gradient > held_out.base.gradient);
+    let text = RefineError::WorseThanBase(held_out).to_string();
+    assert!(text.contains("% of the mean intensity"), "{text}");
+}
+
+#[test]
+fn images_that_the_light_cannot_explain_leave_the_base() {
+    // Stripes of 2 mm and a contrast of 1 to 12, with another phase in every view.
+    let result = refine_from(&FLAT.mesh(0.0025), |k, snapshot| {
+        let width = snapshot.ir_counts.width();
+        for (pixel, counts) in snapshot.ir_counts.data_mut().iter_mut().enumerate() {
+            let stripe = (pixel % width + 3 * (pixel / width) + 7 * k) / 5 % 2;
+            *counts *= if stripe == 0 { 0.08 } else { 1.0 };
+        }
+    });
+    match result {
+        Err(RefineError::Contradicted { rmse }) => assert!(rmse > MAX_BELIEVABLE_RMSE),
+        Err(RefineError::WorseThanBase(held_out)) => {
+            assert!(held_out.refined.intensity > MAX_BELIEVABLE_RMSE);
+        }
+        other => panic!("{:?}", other.map(|refined| refined.rmse_after)),
+    }
+}
+
+#[test]
+fn saturated_views_are_refused_and_counted() {
+    let result = refine_from(&FLAT.mesh(0.0025), |_, snapshot| {
+        snapshot.ir_counts.data_mut().fill(65535.0);
+    });
+    let expected = RefineError::Saturated {
+        n_saturated: 7,
+        n_views: 7,
+    };
+    assert_eq!(result.err(), Some(expected));
+}
+
+#[test]
+fn a_mesh_that_is_no_surface_is_refused() {
+    let mut fan = FLAT.mesh(0.0025);
+    // Every face once more, turned over: all inner edges have four faces.
+    let doubled: Vec<[u32; 3]> = fan.faces.iter().map(|&[a, b, c]| [a, c, b]).collect();
+    fan.faces.extend(doubled);
+    let result = refine_from(&fan, |_, _| ());
+    assert!(matches!(result, Err(RefineError::NotManifold { n_edges, of }) if 2 * n_edges > of));
+}
+
+#[test]
+fn a_part_that_nobody_sees_stays_where_it_is() {
+    let mut parts = FLAT.mesh(0.0025);
+    let n_front = parts.vertices.len();
+    // The same plane once more behind the first, where only its front could be seen.
+    let behind = FLAT.mesh(0.0025);
+    let offset = Vector3::new(0.0, 0.0, 0.05);
+    parts
+        .vertices
+        .extend(behind.vertices.iter().map(|vertex| vertex + offset));
+    let shift = |face: &[u32; 3]| face.map(|vertex| vertex + n_front as u32);
+    parts.faces.extend(behind.faces.iter().map(shift));
+    let refined = refine_from(&parts, |_, _| ()).expect("the front is visible");
+    let (mut n_hidden, mut moved_m) = (0, 0.0f64);
+    for vertex in &refined.mesh.vertices {
+        if vertex.z > 0.63 {
+            n_hidden += 1;
+            moved_m = moved_m.max((vertex.z - 0.65).abs());
+        }
+    }
+    assert!(n_hidden > 1000);
+    assert!(moved_m < 1e-6, "{moved_m} m");
+}
+
+#[test]
+fn one_view_is_refined_from_and_judged_by_nobody() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let snapshots = [RIPPLED.snapshot(&optics, &poses(0.4)[1])];
+    let subject = Subject {
+        scene: &base,
+        object: &base,
+        snapshots: &snapshots,
+        optics: &optics,
+    };
+    let refined = refine(&subject, &RefineParams::default(), |_| true).expect("visible");
+    assert_eq!(refined.judgement, Judgement::default());
+    assert!(refined.rmse_after < refined.rmse_before);
+}
+
+#[test]
+fn every_view_is_left_out_once() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let snapshots: Vec<_> = poses(0.5)
+        .iter()
+        .map(|pose| RIPPLED.snapshot(&optics, pose))
+        .collect();
+    let subject = Subject {
+        scene: &base,
+        object: &base,
+        snapshots: &snapshots,
+        optics: &optics,
+    };
+    let params = RefineParams {
+        edge_length_m: 0.0025,
+        n_rounds: 2,
+        ..RefineParams::default()
+    };
+    let judged = cross_validate(&subject, &params, 3, |_| true).expect("visible");
+    let views: Vec<usize> = judged.iter().map(|view| view.index).collect();
+    assert_eq!(views, [0, 1, 2, 3, 4, 5, 6]);
+    for view in &judged {
+        let HeldOut { base, refined, .. } = view.figures();
+        assert!(refined.intensity < base.intensity && refined.gradient < base.gradient);
+    }
+}
+
+#[test]
+fn a_surface_must_not_be_worse_in_either_measure() {
+    let error = |intensity, gradient| ImageError {
+        intensity,
+        gradient,
+    };
+    let judgement = |refined| Judgement {
+        views: Vec::new(),
+        overall: HeldOut {
+            base: error(0.1, 0.05),
+            refined,
+            ..HeldOut::default()
+        },
+    };
+    assert!(!judgement(error(0.09, 0.04)).prefers_base());
+    assert!(judgement(error(0.09, 0.06)).prefers_base());
+    assert!(judgement(error(0.11, 0.04)).prefers_base());
+}

@@ -1,0 +1,266 @@
+//! Judging a surface by images that it was not made from, as in Section 5 of the paper.
+//!
+//! Views that refinement did not use are aligned with the base surface and with the refined one, each is rendered in them
+//! pixel by pixel ([`render`]), and both are compared with what was observed: in intensity, which shows slow shape and
+//! albedo, and in its gradient, which shows detail. Compared are the pixels that both surfaces cover.
+
+use super::albedo::Albedo;
+use super::rendering::render;
+use super::rounds::{Rounds, State};
+use super::sites::{Sites, ViewSet};
+use super::view::View;
+use crate::geometry::TriMesh;
+use depth_camera::Image;
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Every so many views one is held out.
+const EVERY: usize = 4;
+
+/// How far a rendered image is from the observed one, root mean square, as a share of the mean observed linear intensity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ImageError {
+    /// Of the intensity.
+    pub intensity: f64,
+    /// Of its gradient, per pixel.
+    pub gradient: f64,
+}
+
+/// One view that was held out, or all of them together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct HeldOut {
+    /// Pixels compared.
+    pub n_pixels: usize,
+    /// The base surface.
+    pub base: ImageError,
+    /// The refined surface.
+    pub refined: ImageError,
+    /// What the sensor's noise alone would leave.
+    pub noise: ImageError,
+    /// Root mean square of the gains, less 1, by which slow differences of brightness were taken up on the refined surface.
+    pub slow_gain: f64,
+}
+
+/// What the views that were held out say.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Judgement {
+    /// Each of them by its number among the shading images.
+    pub views: Vec<(usize, HeldOut)>,
+    /// All pixels of all of them.
+    pub overall: HeldOut,
+}
+
+impl Judgement {
+    /// Puts together what single views say.
+    pub fn of(judged: &[JudgedView]) -> Self {
+        let total = judged
+            .iter()
+            .fold(Sums::default(), |total, view| total.plus(&view.sums));
+        Judgement {
+            views: judged
+                .iter()
+                .map(|view| (view.index, view.figures()))
+                .collect(),
+            overall: total.means(),
+        }
+    }
+
+    /// Whether the base surface explains them better, in intensity or in its gradient.
+    pub fn prefers_base(&self) -> bool {
+        let HeldOut { base, refined, .. } = &self.overall;
+        refined.intensity > base.intensity || refined.gradient > base.gradient
+    }
+}
+
+/// A view with what it was held out to judge.
+#[derive(Clone, Debug)]
+pub struct JudgedView {
+    /// Its number among the shading images.
+    pub index: usize,
+    /// Observed less rendered linear intensity on the base surface, NaN where not compared.
+    pub base_error: Image<f32>,
+    /// The same on the refined surface.
+    pub refined_error: Image<f32>,
+    sums: Sums,
+}
+
+impl JudgedView {
+    /// What it says.
+    pub fn figures(&self) -> HeldOut {
+        self.sums.means()
+    }
+}
+
+/// The views to hold out of so many: a quarter, spread over the scan; none of a single one.
+pub fn views_to_hold_out(n_views: usize) -> ViewSet {
+    every(1, EVERY, n_views)
+}
+
+/// Every so many-th view from the first.
+pub fn every(first: usize, step: usize, n_views: usize) -> ViewSet {
+    (first..n_views)
+        .step_by(step)
+        .fold(0, |set, view| set | 1 << view)
+}
+
+/// Lets a set of views judge a base state and a refined one; they are left aligned with the refined surface.
+pub fn judge(
+    rounds: &Rounds,
+    base: &State,
+    refined: &mut State,
+    held_out: ViewSet,
+) -> Vec<JudgedView> {
+    let State {
+        surface,
+        views,
+        albedo,
+    } = refined;
+    let held_out = views
+        .par_iter_mut()
+        .enumerate()
+        .filter(|(view, _)| held_out >> view & 1 == 1);
+    held_out
+        .map(|(index, view)| {
+            let mut with_base = view.clone();
+            let base = settle_and_render(rounds, &base.surface.mesh, &base.albedo, &mut with_base);
+            let refined = settle_and_render(rounds, &surface.mesh, albedo, view);
+            JudgedView {
+                index,
+                sums: Sums::over(view, &base, &refined),
+                base_error: error(view, &base),
+                refined_error: error(view, &refined),
+            }
+        })
+        .collect()
+}
+
+fn settle_and_render(
+    rounds: &Rounds,
+    mesh: &TriMesh,
+    albedo: &Albedo,
+    view: &mut View,
+) -> Image<f32> {
+    rounds.settle(view, mesh, &albedo.by_face);
+    let sites = Sites::new(mesh, std::slice::from_ref(view), 1);
+    render(view, mesh, (&sites, 0), &albedo.by_face)
+}
+
+fn error(view: &View, rendered: &Image<f32>) -> Image<f32> {
+    let linear = view.linear();
+    let pixels = linear.integrated.data().iter().zip(linear.value.data());
+    let pixels = pixels.zip(rendered.data());
+    let errors = pixels.map(|((integrated, value), rendered)| match value.is_nan() {
+        true => f32::NAN,
+        false => integrated - rendered,
+    });
+    Image::from_vec(rendered.width(), rendered.height(), errors.collect())
+}
+
+/// Sums of squares over the pixels of a view: of base, refined surface and noise.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    n_pixels: f64,
+    observed: f64,
+    intensity: [f64; 3],
+    n_gradients: f64,
+    gradient: [f64; 3],
+    slow_gain: f64,
+}
+
+impl Sums {
+    fn over(view: &View, base: &Image<f32>, refined: &Image<f32>) -> Sums {
+        let linear = view.linear();
+        let (width, height) = (base.width(), base.height());
+        // Observed, its errors on both surfaces, and its variance; `None` where a pixel cannot be used.
+        let pixel = |u: usize, v: usize| -> Option<[f64; 4]> {
+            let observed = f64::from(*linear.integrated.at(u, v));
+            let (base, refined) = (f64::from(*base.at(u, v)), f64::from(*refined.at(u, v)));
+            let sigma = f64::from(*linear.sigma.at(u, v));
+            let usable = !(linear.value.at(u, v).is_nan() || base.is_nan() || refined.is_nan());
+            usable.then_some([observed, observed - base, observed - refined, sigma * sigma])
+        };
+        let mut sums = Sums::default();
+        for v in 1..height - 1 {
+            for u in 1..width - 1 {
+                let Some([observed, base, refined, variance]) = pixel(u, v) else {
+                    continue;
+                };
+                sums.n_pixels += 1.0;
+                sums.observed += observed;
+                let gain = view.gain * view.gain_field.at(&Vector2::new(u as f64, v as f64));
+                sums.slow_gain += (gain - 1.0).powi(2);
+                for (sum, square) in
+                    sums.intensity
+                        .iter_mut()
+                        .zip([base * base, refined * refined, variance])
+                {
+                    *sum += square;
+                }
+                let beside = [
+                    pixel(u - 1, v),
+                    pixel(u + 1, v),
+                    pixel(u, v - 1),
+                    pixel(u, v + 1),
+                ];
+                let [Some(left), Some(right), Some(above), Some(below)] = beside else {
+                    continue;
+                };
+                sums.n_gradients += 1.0;
+                // Central differences; noise of two pixels, halved, on each axis.
+                for surface in 0..2 {
+                    let du = 0.5 * (right[1 + surface] - left[1 + surface]);
+                    let dv = 0.5 * (below[1 + surface] - above[1 + surface]);
+                    sums.gradient[surface] += du * du + dv * dv;
+                }
+                sums.gradient[2] += 0.25 * (left[3] + right[3] + above[3] + below[3]);
+            }
+        }
+        sums
+    }
+
+    fn plus(mut self, other: &Sums) -> Sums {
+        self.n_pixels += other.n_pixels;
+        self.observed += other.observed;
+        self.n_gradients += other.n_gradients;
+        self.slow_gain += other.slow_gain;
+        for k in 0..3 {
+            self.intensity[k] += other.intensity[k];
+            self.gradient[k] += other.gradient[k];
+        }
+        self
+    }
+
+    fn means(&self) -> HeldOut {
+        let mean = self.observed / self.n_pixels.max(1.0);
+        let share =
+            |square: f64, n: f64| (square / n.max(1.0)).sqrt() / mean.max(f64::MIN_POSITIVE);
+        let error = |k: usize| ImageError {
+            intensity: share(self.intensity[k], self.n_pixels),
+            gradient: share(self.gradient[k], self.n_gradients),
+        };
+        HeldOut {
+            n_pixels: self.n_pixels as usize,
+            base: error(0),
+            refined: error(1),
+            noise: error(2),
+            slow_gain: (self.slow_gain / self.n_pixels.max(1.0)).sqrt(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quarter_is_held_out_and_never_the_only_view() {
+        assert_eq!(views_to_hold_out(1), 0);
+        assert_eq!(views_to_hold_out(2), 0b10);
+        assert_eq!(views_to_hold_out(8), 0b10_0010);
+        for n_views in 2..=64 {
+            let share = f64::from(views_to_hold_out(n_views).count_ones()) / n_views as f64;
+            assert!((0.2..=0.5).contains(&share), "{share} of {n_views}");
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! What is made once before the rounds: the remeshed object, the views, the pattern of the normal equations.
+
+use super::MAX_VIEWS;
+use super::albedo::face_neighbours;
+use super::couplings::Couplings;
+use super::energy::Surface;
+use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
+use super::held_out::{JudgedView, judge};
+use super::params::RefineParams;
+use super::patches::{self, Patch};
+use super::remesh::{RemeshParams, remesh};
+use super::rounds::{Rounds, State, centre_of};
+use super::sites::{Sites, ViewSet};
+use super::solver::Pattern;
+use super::view::{Optics, SATURATION, View, ViewContext};
+use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::snapshot::ShadingSnapshot;
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+/// What is refined, and what from.
+#[derive(Clone, Copy)]
+pub struct Subject<'a> {
+    /// The whole base mesh, which hides the object from camera and light.
+    pub scene: &'a TriMesh,
+    /// The part of it to refine.
+    pub object: &'a TriMesh,
+    /// The shading images.
+    pub snapshots: &'a [ShadingSnapshot],
+    /// Camera, light and response.
+    pub optics: &'a Optics<'a>,
+}
+
+/// All that the rounds need and do not change.
+pub struct Preparation {
+    params: RefineParams,
+    mesh: TriMesh,
+    centre: Point3<f64>,
+    views: Vec<View>,
+    edges: EdgeAdjacency,
+    patches: Vec<Patch>,
+    neighbours: Vec<[u32; 3]>,
+    pattern: Pattern,
+}
+
+impl Preparation {
+    /// Prepares a refinement.
+    ///
+    /// # Errors
+    /// For too many views, for what is no surface, and if memory does not suffice.
+    pub fn new(subject: &Subject, params: &RefineParams) -> Result<Self, RefineError> {
+        let Subject {
+            scene,
+            object,
+            snapshots,
+            optics,
+        } = *subject;
+        if snapshots.len() > MAX_VIEWS {
+            return Err(RefineError::TooManyViews {
+                n_views: snapshots.len(),
+            });
+        }
+        check_manifold(object)?;
+        let params = RefineParams {
+            edge_length_m: params.edge_length_for(object.area_m2()),
+            ..params.clone()
+        };
+        let mesh = remesh(object, &RemeshParams::new(params.edge_length_m));
+        if mesh.faces.is_empty() {
+            return Err(RefineError::NoSurface);
+        }
+        let centre = centre_of(&mesh);
+        let context = ViewContext {
+            scene,
+            centre,
+            optics,
+            trust: &params.trust,
+        };
+        let views: Vec<View> = snapshots
+            .par_iter()
+            .map(|snapshot| View::new(snapshot, &context))
+            .collect();
+        let edges = EdgeAdjacency::new(&mesh);
+        let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
+        let couplings = Couplings::new(&mesh, &edges, &patches);
+        let neighbours = face_neighbours(&couplings.of_faces, couplings.pairs.len());
+        let pattern = Pattern::new(mesh.vertices.len(), couplings);
+        Ok(Preparation {
+            params,
+            mesh,
+            centre,
+            views,
+            edges,
+            patches,
+            neighbours,
+            pattern: pattern.ok_or(RefineError::OutOfMemory)?,
+        })
+    }
+
+    /// The rounds over it.
+    pub fn rounds(&self) -> Rounds<'_> {
+        Rounds {
+            params: &self.params,
+            edges: &self.edges,
+            patches: &self.patches,
+            neighbours: &self.neighbours,
+            pattern: &self.pattern,
+        }
+    }
+
+    /// The base surface, with the albedo that a set of views gives it at their tracked poses.
+    ///
+    /// # Errors
+    /// If none of them sees it.
+    pub fn base(&self, subject: &Subject, learning: ViewSet) -> Result<State, RefineError> {
+        let sites = Sites::new(&self.mesh, &self.views, learning);
+        let albedo = self.rounds().first_albedo(&self.mesh, &sites, &self.views);
+        Ok(State {
+            surface: Surface {
+                directions: self.mesh.vertex_normals(),
+                total_m: vec![0.0; self.mesh.vertices.len()],
+                mesh: self.mesh.clone(),
+            },
+            views: self.views.clone(),
+            albedo: albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?,
+        })
+    }
+
+    /// Refines from a set of views and lets another judge.
+    ///
+    /// # Errors
+    /// If none of the views learnt from sees the base surface.
+    pub fn validate(
+        &self,
+        subject: &Subject,
+        learning: ViewSet,
+        judges: ViewSet,
+    ) -> Result<Vec<JudgedView>, RefineError> {
+        let (rounds, base) = (self.rounds(), self.base(subject, learning)?);
+        let mut state = base.clone();
+        rounds.run(0..self.params.n_rounds, learning, &mut state, &mut |_| true);
+        Ok(judge(&rounds, &base, &mut state, judges))
+    }
+
+    /// Mean of the object's vertices, world frame.
+    pub fn centre(&self) -> &Point3<f64> {
+        &self.centre
+    }
+
+    /// Edge length of the mesh, metres.
+    pub fn edge_length_m(&self) -> f64 {
+        self.params.edge_length_m
+    }
+
+    fn why_nothing_is_visible(&self, subject: &Subject) -> RefineError {
+        let full_scale = subject.optics.full_scale;
+        let is_saturated = |(view, snapshot): &(&View, &ShadingSnapshot)| {
+            let counts = &snapshot.ir_counts;
+            let pixels = self.mesh.vertices.iter();
+            let pixels =
+                pixels.filter_map(|point| view.pixel(point, &view.tracked_camera_from_world));
+            let inside = pixels.filter(|pixel| view.camera().contains(pixel, 0.0));
+            let (n, n_white) = inside.fold((0, 0), |(n, n_white), pixel| {
+                let value = f64::from(*counts.at(pixel.x as usize, pixel.y as usize));
+                (
+                    n + 1,
+                    n_white + usize::from(value >= SATURATION * full_scale),
+                )
+            });
+            2 * n_white > n
+        };
+        let n_views = self.views.len();
+        let pairs = self.views.iter().zip(subject.snapshots);
+        match pairs.filter(is_saturated).count() {
+            0 => RefineError::NothingVisible { n_views },
+            n_saturated => RefineError::Saturated {
+                n_saturated,
+                n_views,
+            },
+        }
+    }
+}
+
+/// The first so many views.
+pub fn first_views(n_views: usize) -> ViewSet {
+    (0..n_views).fold(0, |set, view| set | 1 << view)
+}
+
+fn check_manifold(object: &TriMesh) -> Result<(), RefineError> {
+    let edges = EdgeAdjacency::new(object);
+    let of = edges.edges.len();
+    let n_edges = edges.n_faces.iter().filter(|&&n| n > 2).count();
+    match n_edges as f64 > MAX_NON_MANIFOLD_SHARE * of as f64 {
+        true => Err(RefineError::NotManifold { n_edges, of }),
+        false => Ok(()),
+    }
+}

@@ -1,0 +1,46 @@
+//! What a view shows of a mesh, integrated over its pixels as the sensor does it.
+//!
+//! A prediction sampled at pixel centres prefers surfaces that are too smooth, since the image is blurred by the pixels and
+//! the prediction is not. Here every pixel is the mean of the facets under it.
+
+use super::energy::unit_normal;
+use super::sites::Sites;
+use super::view::View;
+use crate::geometry::{TriMesh, rasterise};
+use depth_camera::Image;
+
+/// Samples a pixel along each axis.
+const SAMPLES: usize = 2;
+
+/// Linear intensity that a view would show, NaN where a pixel is not wholly covered by facets that it sees. `sites` are the
+/// mesh's and `index` is the view's number in them.
+pub fn render(
+    view: &View,
+    mesh: &TriMesh,
+    (sites, index): (&Sites, usize),
+    albedo: &[f64],
+) -> Image<f32> {
+    let by_face: Vec<f32> = (0..mesh.faces.len())
+        .map(|face| {
+            let seen = sites.visible[face] >> index & 1 == 1;
+            let (normal, _) = unit_normal(mesh, face).filter(|_| seen)?;
+            let unit = view.unit_prediction(&sites.points[face], &normal)?;
+            Some((albedo[face] * unit) as f32)
+        })
+        .map(|prediction| prediction.unwrap_or(f32::NAN))
+        .collect();
+    let samples = rasterise(mesh, &view.camera().finer(SAMPLES), &view.camera_from_world).face;
+    let sample = |u: usize, v: usize| {
+        let face = *samples.at(u, v) as usize;
+        by_face.get(face).copied().unwrap_or(f32::NAN)
+    };
+    let (width, height) = (samples.width() / SAMPLES, samples.height() / SAMPLES);
+    let pixel = |u: usize, v: usize| {
+        let sum: f32 = (0..SAMPLES * SAMPLES)
+            .map(|k| sample(u * SAMPLES + k % SAMPLES, v * SAMPLES + k / SAMPLES))
+            .sum();
+        sum / (SAMPLES * SAMPLES) as f32
+    };
+    let pixels = (0..width * height).map(|k| pixel(k % width, k / width));
+    Image::from_vec(width, height, pixels.collect())
+}
