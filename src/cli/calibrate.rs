@@ -1,5 +1,6 @@
 //! `relief calibrate`: what can be measured of a device, and what is asked for on the way.
 
+mod depth;
 mod findings;
 mod offset;
 mod page;
@@ -25,6 +26,8 @@ pub enum CalibrateCommand {
     Light(TargetArgs),
     /// Where the IR image lies against the depth image, from silhouettes
     Offset(OffsetArgs),
+    /// How strong the multipath of a Kinect II is, from a scan of an object on a table
+    Depth(DepthArgs),
 }
 
 impl CalibrateCommand {
@@ -34,7 +37,7 @@ impl CalibrateCommand {
             CalibrateCommand::Response(args)
             | CalibrateCommand::FlatField(args)
             | CalibrateCommand::Light(args) => args.json,
-            CalibrateCommand::Offset(_) => false,
+            CalibrateCommand::Offset(_) | CalibrateCommand::Depth(_) => false,
         }
     }
 }
@@ -49,6 +52,7 @@ pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
         CalibrateCommand::FlatField(args) => targets::calibrate(Aim::FlatField, args),
         CalibrateCommand::Light(args) => targets::calibrate(Aim::Light, args),
         CalibrateCommand::Offset(args) => offset::offset(args),
+        CalibrateCommand::Depth(args) => depth::depth(args),
     }
 }
 
@@ -110,6 +114,19 @@ pub struct TargetArgs {
 pub struct OffsetArgs {
     /// Folder of the session, as the device delivered it
     pub session: PathBuf,
+    /// Where the measurement goes
+    #[command(flatten)]
+    pub file: FileArgs,
+}
+
+/// `relief calibrate depth`.
+#[derive(Debug, Args)]
+pub struct DepthArgs {
+    /// Folder of the session: a matt object on a table, scanned from many sides
+    pub session: PathBuf,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Where the measurement goes
     #[command(flatten)]
     pub file: FileArgs,

@@ -260,3 +260,82 @@ fn smoothed(cells: &CellGrid, sums: &[(f64, f64)]) -> Vec<f64> {
         .map(|(column, row)| at(column, row))
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::packed_depth::PackedDepth;
+    use crate::fusion::tests::{frames, small_params};
+    use crate::fusion::{DepthNoise, Fusion};
+    use crate::geometry::CameraModel;
+    use depth_camera::Sensor;
+
+    /// What a made-up sensor gets wrong at a ray, over z².
+    fn error_at(x: f64, y: f64) -> f64 {
+        0.012 * (x * x + y * y - 0.1) + 0.004 * x * y
+    }
+
+    /// The model of true depth, and the frames with an error of `scale` times [`error_at`] at their true poses.
+    fn seen(scale: f64) -> (Fusion, Vec<Keyframe>, CameraModel) {
+        let (frames, truth, camera) = frames(24);
+        let rays = RayGrid::new(camera);
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let mut fusion = Fusion::new(camera, noise, small_params());
+        let mut keyframes = Vec::new();
+        for (frame, pose) in frames.iter().zip(&truth) {
+            let depth = frame.depth.as_ref().expect("Kinect II");
+            fusion.fuse_at(depth, frame.device_time_secs, pose);
+            let pairs = depth.data().iter().zip(rays.rays().data());
+            let wrong: Vec<f32> = pairs
+                .map(|(&z, &[x, y])| {
+                    let error = scale * error_at(f64::from(x), f64::from(y));
+                    z * (1.0 + error as f32 * z)
+                })
+                .collect();
+            keyframes.push(Keyframe {
+                depth: PackedDepth::pack(&wrong, depth.width(), 1.5),
+                time_secs: frame.device_time_secs,
+                world_from_camera: *pose,
+                stretch: 0,
+            });
+        }
+        (fusion, keyframes, camera)
+    }
+
+    #[test]
+    fn a_bowl_is_found_where_the_image_shows_a_surface() {
+        let (fusion, keyframes, camera) = seen(1.0);
+        let rays = RayGrid::new(camera);
+        let field = DepthField::measure(&keyframes, &fusion.volume, &rays).expect("a field");
+        let nothing = DepthField {
+            offsets: vec![0.0; field.offsets.len()],
+            ..field.clone()
+        };
+        // Mean square of what a field leaves of a frame that is moved as fits best.
+        let left = |frame: &Keyframe, field: &DepthField| {
+            let samples = field.samples(frame, &fusion.volume, &rays);
+            let motion = field.motion(&samples);
+            let squares = samples.iter().map(|sample| {
+                let moved = sample.by_motion.dot(&motion);
+                (sample.excess - moved - field.offsets[sample.cell]).powi(2)
+            });
+            squares.sum::<f64>() / samples.len() as f64
+        };
+        let (_, without, _) = seen(0.0);
+        let noise = left(&without[12], &nothing);
+        let (before, after) = (left(&keyframes[12], &nothing), left(&keyframes[12], &field));
+        let share = (after - noise) / (before - noise);
+        assert!(
+            before > 2.0 * noise && share < 0.3,
+            "{before} -> {after}, noise {noise}"
+        );
+    }
+
+    #[test]
+    fn frames_without_a_field_show_none() {
+        let (fusion, keyframes, camera) = seen(0.0);
+        let rays = RayGrid::new(camera);
+        let field = DepthField::measure(&keyframes, &fusion.volume, &rays);
+        assert!(field.is_none_or(|field| field.rms() < 3e-4));
+    }
+}

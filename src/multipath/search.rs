@@ -9,6 +9,8 @@ pub struct WhiteSearch {
     plausible: f64,
     /// The strength that the scan was fused with last, and what it told.
     tried: Option<(f64, Evidence)>,
+    /// Standard deviation of the strength as known by now.
+    sigma: f64,
 }
 
 /// How far a plausible strength may be off, as a share: albedos of 0.4 to 0.8 are taken for 0.6.
@@ -26,10 +28,17 @@ const TOLERANCE: f64 = 0.1;
 impl WhiteSearch {
     /// A search that starts from what is plausible.
     pub fn from(plausible: WhiteLevel) -> Self {
+        let plausible = strength(Some(plausible));
         WhiteSearch {
-            plausible: strength(Some(plausible)),
+            plausible,
             tried: None,
+            sigma: PLAUSIBLE_SIGMA * plausible,
         }
+    }
+
+    /// Standard deviation of a white level as a share of it, by what is known now.
+    pub fn relative_sigma(&self, white: WhiteLevel) -> f64 {
+        self.sigma / strength(Some(white))
     }
 
     /// Takes in what a scan tells that was fused with a white level, and gives the one to fuse it with next: where plausibility
@@ -51,6 +60,7 @@ impl WhiteSearch {
         let plausible_weight = (PLAUSIBLE_SIGMA * self.plausible).powi(-2);
         let next = (told * told_weight + self.plausible * plausible_weight)
             / (told_weight + plausible_weight);
+        self.sigma = (told_weight + plausible_weight).sqrt().recip();
         let next = next.max(0.0);
         let is_known = (next - here).abs() <= TOLERANCE * here.max(next);
         (!is_known).then(|| WhiteLevel::of_strength(next))

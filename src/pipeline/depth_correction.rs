@@ -37,6 +37,17 @@ pub struct Revised {
     field: Option<DepthField>,
 }
 
+/// A device's white level as one scan tells it.
+#[derive(Clone, Copy, Debug)]
+pub struct MeasuredWhite {
+    /// The white level.
+    pub white: WhiteLevel,
+    /// Its standard deviation as a share of it: what views tell and what is plausible together.
+    pub relative_sigma: f64,
+    /// How well views agree with it.
+    pub evidence: Evidence,
+}
+
 /// Most frames whose views are compared at the end of a scan.
 const MAX_VIEWS: usize = 60;
 /// A revision that loses more than this share of the frames is not used.
@@ -97,9 +108,29 @@ impl DepthCorrection {
         }
     }
 
+    /// The white level of the device by a scan that was fused as corrected here, refined by how its views agree; `None` where
+    /// views agree best without multipath, or show none.
+    pub fn measure_white(&self, fusion: &Fusion) -> Option<MeasuredWhite> {
+        let (revised, search) = self.settled(fusion);
+        let fused_again = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
+        let white = revised
+            .as_ref()
+            .map_or(self.live, |revised| revised.white)?;
+        let evidence = self.evidence(fused_again, Some(white), None)?;
+        Some(MeasuredWhite {
+            white,
+            relative_sigma: search?.relative_sigma(white),
+            evidence,
+        })
+    }
+
     /// Compares the views of a fused scan with its model, and fuses it again as long as that tells of errors that were not
     /// taken off. `None` if it stays as it is.
     pub fn revise(&self, fusion: &Fusion) -> Option<Revised> {
+        self.settled(fusion).0
+    }
+
+    fn settled(&self, fusion: &Fusion) -> (Option<Revised>, Option<WhiteSearch>) {
         let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         for _ in 0..self.fusion.max_revisions {
@@ -123,7 +154,7 @@ impl DepthCorrection {
                 None => break,
             }
         }
-        revised
+        (revised, search)
     }
 
     /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows.

@@ -31,6 +31,7 @@ mod pictures;
 mod report;
 mod timing;
 
+pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;
 pub use fusion_stage::FusedScan;
 pub use given_poses::GivenPoses;
@@ -50,7 +51,6 @@ use crate::{
 };
 use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
-use depth_correction::DepthCorrection;
 use device_stage::DeviceSetup;
 use edges::DropCounts;
 use fusion_stage::FusionSetup;

@@ -1,0 +1,116 @@
+//! `relief calibrate depth`: how bright white is, which tells how strong multipath is.
+
+use super::{DepthArgs, next_frame};
+use crate::cli::run::{Verdict, all_processors, calibration_folder, session_name};
+use anyhow::{Context, ensure};
+use depth_camera::{DepthCamera, Sensor};
+use relief::{
+    config::{
+        CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, MeasuredSession, Measurement,
+        Overrides, calibration_path, find_calibration, merge_into_file,
+    },
+    fusion::{DepthNoise, Fusion},
+    geometry::CameraModel,
+    pipeline::{DepthCorrection, MeasuredWhite},
+    shading::{Calibration, LightCalibration},
+};
+use replay::ReplayCamera;
+use std::{collections::BTreeMap, path::Path, time::SystemTime};
+
+/// Half the width of a 95 % interval in standard deviations.
+const INTERVAL_SIGMAS: f64 = 1.96;
+
+/// `relief calibrate depth`.
+pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
+    let mut camera = ReplayCamera::open(&args.session)?;
+    let info = camera.info().clone();
+    ensure!(
+        info.sensor == Sensor::Kinect2,
+        "the session is of a {}: multipath is a kinect2's, and the slow error of a kinect1 is measured by every scan itself",
+        info.sensor.name()
+    );
+    let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
+    let serial = args.file.serial.clone().unwrap_or(info.serial.clone());
+    let path = calibration_path(&folder, &serial)?;
+    let places = CalibrationPlaces {
+        given: path.exists().then_some(path.as_path()),
+        folder: &folder,
+        session: Some(&args.session),
+    };
+    let calibration = without_white_level(find_calibration(&info, &places)?.calibration);
+    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
+    let mut correction = DepthCorrection::new(&info, &calibration, true, &config.fusion);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(all_processors().get())
+        .build()?;
+    let measured = pool.install(|| -> anyhow::Result<_> {
+        let camera_model = CameraModel::new(info.intrinsics);
+        let noise = DepthNoise::of_sensor(info.sensor);
+        let mut fusion = Fusion::new(camera_model, noise, config.fusion.clone());
+        while let Some(frame) = next_frame(&mut camera)? {
+            let corrected = correction.correct(&frame).unwrap_or(frame);
+            if let Some(depth_m) = &corrected.depth {
+                fusion.fuse(depth_m, corrected.device_time_secs);
+            }
+        }
+        Ok(correction.measure_white(&fusion))
+    })?;
+    let measured = measured.context(
+        "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared",
+    )?;
+    print(&measured);
+    if args.file.dry_run {
+        return Ok(Verdict::Done);
+    }
+    let mut device = DeviceCalibration::new(serial, info.sensor);
+    device.light.white_level = Some(measured.white.0);
+    let measurement = measurement(&measured, &args.session)?;
+    let key = CalibrationKey::LightWhiteLevel;
+    device.measured.insert(key, measurement);
+    let report = merge_into_file(&path, &device, args.file.replace)?;
+    if let Some(kept) = &report.kept {
+        println!("the file as it was: {}", kept.display());
+    }
+    println!("{key} written to {}", path.display());
+    Ok(Verdict::Done)
+}
+
+/// A calibration that leaves to the scan how bright white is.
+fn without_white_level(calibration: Calibration) -> Calibration {
+    let light = LightCalibration {
+        white_level: None,
+        ..calibration.light
+    };
+    Calibration {
+        light,
+        ..calibration
+    }
+}
+
+fn print(measured: &MeasuredWhite) {
+    let white = measured.white.0;
+    println!(
+        "a perfectly white surface a metre before the light shows {white:.3} ± {:.3} of full scale",
+        INTERVAL_SIGMAS * measured.relative_sigma * white
+    );
+    println!(
+        "views of one place then disagree by {:.2} mm, root mean square over {} patches",
+        1e3 * measured.evidence.residual_m,
+        measured.evidence.n_patches
+    );
+}
+
+fn measurement(measured: &MeasuredWhite, session: &Path) -> anyhow::Result<Measurement> {
+    let session = MeasuredSession {
+        name: session_name(session),
+        content: replay::content_hash(session)?,
+    };
+    let half_interval = INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0;
+    let figures = [
+        ("half_interval_95", half_interval),
+        ("disagreement_m", measured.evidence.residual_m),
+        ("patches", measured.evidence.n_patches as f64),
+    ];
+    let figures: BTreeMap<_, _> = figures.map(|(name, value)| (name.to_owned(), value)).into();
+    Ok(Measurement::new(SystemTime::now(), vec![session], figures))
+}
