@@ -137,7 +137,7 @@ mod tests {
         let mut edge = plane.clone();
         let mut holes = plane;
         for (u, v) in SQUARE.pixels() {
-            if u > 306 {
+            if u > 304 {
                 edge.data_mut()[v * 512 + u] = 1.3;
                 holes.data_mut()[v * 512 + u] = 0.0;
             }
