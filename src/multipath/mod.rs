@@ -99,7 +99,8 @@ impl Multipath {
         })
     }
 
-    /// Compares the views of a fused scan, see [`evidence`].
+    /// Compares the views of a scan that was fused with the multipath of `white`; `signed_distance` gives distance (m, positive
+    /// outside) and gradient of the model at a point of the world. `None` where too little was seen.
     pub fn evidence(
         &self,
         views: &[Seen],
