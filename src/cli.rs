@@ -147,14 +147,11 @@ impl ReplayArgs {
     }
 }
 
-/// `relief refine`.
+/// A scan in an output folder, and how it is read.
 #[derive(Debug, Args)]
-pub struct RefineArgs {
+pub struct RecordedScanArgs {
     /// Output folder of `relief replay`: base.ply, trajectory.txt and snapshots are read
     pub output: PathBuf,
-    /// Folder for the outputs, new or empty
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
     /// Configuration; keys that it leaves out keep their defaults
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -174,6 +171,17 @@ pub struct RefineArgs {
     /// Threads; all processors without it
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+}
+
+/// `relief refine`.
+#[derive(Debug, Args)]
+pub struct RefineArgs {
+    /// The scan, and what is to be known of it
+    #[command(flatten)]
+    pub scan: RecordedScanArgs,
+    /// Folder for the outputs, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
     /// Print one JSON object on standard output, and no progress
     #[arg(long)]
     pub json: bool,
@@ -242,8 +250,9 @@ impl BenchArgs {
 /// `relief evaluate`.
 #[derive(Debug, Args)]
 pub struct EvaluateArgs {
-    /// Output folder of `relief replay`: base.ply, trajectory.txt and snapshots are read
-    pub output: PathBuf,
+    /// The scan, and what is to be known of it
+    #[command(flatten)]
+    pub scan: RecordedScanArgs,
     /// Folder for the evaluation, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -253,25 +262,6 @@ pub struct EvaluateArgs {
     /// Also with fewer views, tracked poses, one albedo, and other values of gamma
     #[arg(long)]
     pub ablations: bool,
-    /// Configuration; keys that it leaves out keep their defaults
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Box of the object in the world frame, metres; found without it
-    #[arg(
-        long,
-        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
-        allow_hyphen_values = true
-    )]
-    pub roi: Option<RoiArg>,
-    /// Calibration of the IR image: a device's own file, or a complete one
-    #[arg(long, value_name = "FILE")]
-    pub calibration: Option<PathBuf>,
-    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
-    #[arg(long, value_name = "DIR")]
-    pub calibration_dir: Option<PathBuf>,
-    /// Threads; all processors without it
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
     /// Print one JSON object on standard output
     #[arg(long)]
     pub json: bool,

@@ -6,12 +6,11 @@
 
 use super::{
     EvaluateArgs,
-    run::{self, Verdict},
+    run::{self, FoundScan, Verdict},
 };
 use anyhow::{Context, ensure};
 use depth_camera::CameraInfo;
 use relief::{
-    config::{self, CalibrationPlaces, Config, Overrides},
     export::{
         Ablation, EvaluationPictures, EvaluationReport, LeftOutView, MeanView, PhongParams,
         PictureSize, phong, three_views, write_evaluation,
@@ -28,18 +27,14 @@ use relief::{
 
 /// `relief evaluate`.
 pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
-    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
-    let recorded = RecordedScan::read(&args.output)?;
-    let folder = run::calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
-    let places = CalibrationPlaces {
-        given: args.calibration.as_deref(),
-        folder: &folder,
-        session: None,
-    };
-    let found = config::find_calibration(&recorded.info, &places)?;
+    let FoundScan {
+        config,
+        recorded,
+        found,
+    } = FoundScan::read(&args.scan)?;
     let out = OutputFolder::claim(&args.out)?;
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.threads.unwrap_or_else(run::all_processors).get())
+        .num_threads(args.scan.threads.unwrap_or_else(run::all_processors).get())
         .build()?;
     let scan = Scan::new(recorded, args)?;
     let report = pool.install(|| scan.evaluate(args, &found.calibration, &config.refine))?;
@@ -64,7 +59,7 @@ struct Scan {
 impl Scan {
     fn new(recorded: RecordedScan, args: &EvaluateArgs) -> anyhow::Result<Self> {
         let RecordedScan { info, scan } = recorded;
-        let object = match &args.roi {
+        let object = match &args.scan.roi {
             Some(roi) => select_roi(&scan.base, &roi.0),
             None => select_object(&scan.base, &scan.world_from_cameras).0,
         };
@@ -79,7 +74,7 @@ impl Scan {
             snapshots.len()
         );
         Ok(Scan {
-            session: run::session_name(&args.output),
+            session: run::session_name(&args.scan.output),
             info,
             object,
             mean_view: MeanView::from_poses(&scan.world_from_cameras),

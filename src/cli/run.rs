@@ -1,6 +1,6 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
-use super::{DemoArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
+use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use relief::{
@@ -86,19 +86,45 @@ fn say(outcome: &Outcome, as_json: bool) -> anyhow::Result<Verdict> {
     Ok(Verdict::of_outcome(outcome))
 }
 
+/// A recorded scan with its configuration and calibration.
+pub struct FoundScan {
+    /// The configuration.
+    pub config: Config,
+    /// The scan.
+    pub recorded: RecordedScan,
+    /// The calibration of its device.
+    pub found: FoundCalibration,
+}
+
+impl FoundScan {
+    /// Reads what the arguments name.
+    pub fn read(args: &RecordedScanArgs) -> anyhow::Result<Self> {
+        let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
+        let recorded = RecordedScan::read(&args.output)?;
+        let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+        let places = CalibrationPlaces {
+            given: args.calibration.as_deref(),
+            folder: &folder,
+            session: None,
+        };
+        let found = config::find_calibration(&recorded.info, &places)?;
+        Ok(FoundScan {
+            config,
+            recorded,
+            found,
+        })
+    }
+}
+
 /// `relief refine`.
 pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict> {
-    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
-    let recorded = RecordedScan::read(&args.output)?;
-    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
-    let places = CalibrationPlaces {
-        given: args.calibration.as_deref(),
-        folder: &folder,
-        session: None,
-    };
-    let found = config::find_calibration(&recorded.info, &places)?;
+    let FoundScan {
+        config,
+        recorded,
+        found,
+    } = FoundScan::read(&args.scan)?;
     let params = PipelineParams {
-        session: session_name(&args.output),
+        session: session_name(&args.scan.output),
         capture: config.capture,
         multipath: config.multipath,
         fusion: config.fusion,
@@ -108,9 +134,9 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         warnings: calibration_warnings(&found, &recorded.info),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
-        roi: args.roi.map(|roi| roi.0),
+        roi: args.scan.roi.map(|roi| roi.0),
         poses: None,
-        n_threads: args.threads.unwrap_or_else(all_processors),
+        n_threads: args.scan.threads.unwrap_or_else(all_processors),
         when_full: WhenFull::Block,
         record: false,
     };
