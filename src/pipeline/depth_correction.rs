@@ -37,6 +37,14 @@ pub struct Revised {
     field: Option<DepthField>,
 }
 
+/// How far revising a scan came.
+struct Settled {
+    revised: Option<Revised>,
+    search: Option<WhiteSearch>,
+    /// What the scan tells as it now is; `None` if that was not asked since it was fused last.
+    evidence: Option<Evidence>,
+}
+
 /// A device's white level as one scan tells it.
 #[derive(Clone, Copy, Debug)]
 pub struct MeasuredWhite {
@@ -111,12 +119,16 @@ impl DepthCorrection {
     /// The white level of the device by a scan that was fused as corrected here, refined by how its views agree; `None` where
     /// views agree best without multipath, or show none.
     pub fn measure_white(&self, fusion: &Fusion) -> Option<MeasuredWhite> {
-        let (revised, search) = self.settled(fusion);
+        let Settled {
+            revised,
+            search,
+            evidence,
+        } = self.settled(fusion);
         let fused_again = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
         let white = revised
             .as_ref()
             .map_or(self.live, |revised| revised.white)?;
-        let evidence = self.evidence(fused_again, Some(white), None)?;
+        let evidence = evidence.or_else(|| self.evidence(fused_again, Some(white), None))?;
         Some(MeasuredWhite {
             white,
             relative_sigma: search?.relative_sigma(white),
@@ -127,18 +139,19 @@ impl DepthCorrection {
     /// Compares the views of a fused scan with its model, and fuses it again as long as that tells of errors that were not
     /// taken off. `None` if it stays as it is.
     pub fn revise(&self, fusion: &Fusion) -> Option<Revised> {
-        self.settled(fusion).0
+        self.settled(fusion).revised
     }
 
-    fn settled(&self, fusion: &Fusion) -> (Option<Revised>, Option<WhiteSearch>) {
+    fn settled(&self, fusion: &Fusion) -> Settled {
         let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
+        let mut told = None;
         for _ in 0..self.fusion.max_revisions {
             let white = revised.as_ref().map_or(self.live, |revised| revised.white);
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
             let field = self.field(current);
-            let next_white = self
-                .evidence(current, white, field.as_ref())
+            told = self.evidence(current, white, field.as_ref());
+            let next_white = told
                 .zip(search.as_mut())
                 .and_then(|(evidence, search)| search.next(white, evidence));
             if field.is_none() && next_white.is_none() {
@@ -150,11 +163,15 @@ impl DepthCorrection {
                 field,
             };
             match self.fuse_again(current, change, revised.as_ref()) {
-                Some(again) => revised = Some(again),
+                Some(again) => (revised, told) = (Some(again), None),
                 None => break,
             }
         }
-        (revised, search)
+        Settled {
+            revised,
+            search,
+            evidence: told,
+        }
     }
 
     /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows.
@@ -213,8 +230,8 @@ impl DepthCorrection {
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
         let view = |frame: &Keyframe| {
             let depth = frame.depth_m();
-            let depth = field.map_or_else(|| depth.clone(), |field| field.corrected(&depth));
-            (depth, frame.world_from_camera)
+            let corrected = field.map(|field| field.corrected(&depth));
+            (corrected.unwrap_or(depth), frame.world_from_camera)
         };
         let frames = frames.iter().step_by(every);
         let views: Vec<_> = frames
