@@ -21,6 +21,10 @@ mod event_log;
 mod live;
 mod state;
 
+mod conditions;
+mod depth_statistics;
+mod standing;
+
 mod device_stage;
 mod fusion_stage;
 mod given_poses;
@@ -38,7 +42,7 @@ mod report;
 mod timing;
 
 pub use crate::{
-    capture::{Event, EventKind},
+    capture::{DeviceHealth, Event, EventKind},
     snapshot::SequenceStep,
 };
 pub use accounts::FrameAccounts;
@@ -54,8 +58,7 @@ pub use output_folder::{OutputFolder, OutputFolderError};
 pub use recorded_scan::{RecordedScan, RecordedScanError};
 pub use state::{Degradation, Fault, Loss, State};
 pub use status::{
-    DeviceHealth, MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus,
-    SnapshotCounts, Status,
+    MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
 };
 pub use timing::peak_memory_bytes;
 
@@ -68,15 +71,18 @@ use crate::{
     snapshot::SnapshotParams,
 };
 use command::CommandDesk;
+use crossbeam::channel::Sender;
 use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use device_stage::DeviceSetup;
 use edges::DropCounts;
 use fusion_stage::FusionSetup;
 use handle::Threads;
+use live::surface::{self, SurfaceUpdate};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use refine_stage::RefineSetup;
 use report::Subject;
+use status::StatusSlot;
 use std::{
     io,
     num::NonZeroUsize,
@@ -158,7 +164,8 @@ impl Pipeline {
         let outbox = Arc::new(Outbox::new(folder.path()));
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
-        let fusion = fusion_setup(&params, camera.info(), &watch)?;
+        let (surfaces_in, surfaces_out) = edges::surfaces();
+        let fusion = fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?;
         let refine = refine_setup(&params, camera.info(), &watch)?;
         let device = device_setup(&params, camera, &watch);
 
@@ -167,18 +174,23 @@ impl Pipeline {
         let (tracked_in, tracked_out) = edges::tracked(&watch.events);
         let (scans_in, scans_out) = edges::scans();
         let events_in = tracked_in.clone();
+        let (live, status_of_sewing) = (watch.live.clone(), watch.status.clone());
+        let status = &watch.status;
 
         let threads = Threads {
-            device: Some(spawn("device", move || {
+            device: Some(spawn("device", status, move || {
                 device_stage::run(device, &frames_in, &recording_in, &events_in)
             })?),
-            fusion: spawn("fusion", move || {
+            fusion: spawn("fusion", status, move || {
                 fusion_stage::run(fusion, frames_out, &commands_out, tracked_in, scans_in)
             })?,
-            recorder: Some(spawn("recorder", move || {
+            recorder: Some(spawn("recorder", status, move || {
                 recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
             })?),
-            refine: spawn("refine", move || {
+            sewing: Some(spawn("sewing", status, move || {
+                surface::run(&surfaces_out, &live.surface, &status_of_sewing)
+            })?),
+            refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
         };
@@ -214,11 +226,15 @@ impl Pipeline {
         let outbox = Arc::new(Outbox::new(folder.path()));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
+        let status = &watch.status;
         let threads = Threads {
             device: None,
-            fusion: spawn("fusion", move || fusion_stage::send(scan, &scans_in))?,
+            fusion: spawn("fusion", status, move || {
+                fusion_stage::send(scan, &scans_in)
+            })?,
             recorder: None,
-            refine: spawn("refine", move || {
+            sewing: None,
+            refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
         };
@@ -233,12 +249,31 @@ impl Pipeline {
     }
 }
 
-/// Starts a thread; names have 15 bytes at most, which is what the system shows.
+/// Starts a thread; names have 15 bytes at most, which is what the system shows. A panic is told of at once.
 fn spawn<T: Send + 'static>(
     name: &str,
+    status: &StatusSlot,
     body: impl FnOnce() -> T + Send + 'static,
 ) -> io::Result<JoinHandle<T>> {
-    thread::Builder::new().name(name.to_owned()).spawn(body)
+    let alarm = Alarm(status.clone());
+    thread::Builder::new().name(name.to_owned()).spawn(move || {
+        let _alarm = alarm;
+        body()
+    })
+}
+
+/// Tells of the panic of the thread that holds it.
+struct Alarm(StatusSlot);
+
+impl Drop for Alarm {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            self.0.update(|status| {
+                status.has_fault = true;
+                status.state = State::Fault(Fault::Program);
+            });
+        }
+    }
 }
 
 fn pool(name: &'static str, n_threads: NonZeroUsize) -> Result<ThreadPool, ThreadPoolBuildError> {
@@ -303,6 +338,8 @@ fn fusion_setup(
     params: &PipelineParams,
     info: &CameraInfo,
     watch: &Watch,
+    surfaces: Sender<SurfaceUpdate>,
+    folder: &OutputFolder,
 ) -> Result<FusionSetup, ThreadPoolBuildError> {
     Ok(FusionSetup {
         info: info.clone(),
@@ -318,6 +355,9 @@ fn fusion_setup(
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),
+        live: watch.live.clone(),
+        surfaces,
+        folder: folder.path().to_owned(),
     })
 }
 
