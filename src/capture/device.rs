@@ -15,6 +15,9 @@ use std::{
     time::{Duration, Instant},
 };
 
+/// A live device stalls when so many waits in a row are in vain.
+const STALLED_AFTER: usize = 2;
+
 /// What the device thread hands on.
 #[derive(Clone, Debug)]
 pub enum Delivery {
@@ -78,6 +81,7 @@ pub fn run_device(
         params,
         is_live: camera.info().n_frames.is_none(),
         health: DeviceHealth::default(),
+        n_in_vain: 0,
         continuity: Continuity::default(),
         summary: CaptureSummary {
             n_frames: 0,
@@ -111,6 +115,8 @@ struct Device<'a> {
     /// Whether it may come back.
     is_live: bool,
     health: DeviceHealth,
+    /// Waits in vain since it was heard last.
+    n_in_vain: usize,
     continuity: Continuity,
     summary: CaptureSummary,
     last_heard: Instant,
@@ -168,7 +174,9 @@ impl Device<'_> {
         if waited >= self.params.max_silence() {
             return self.gone(error, deliver);
         }
-        if self.health == DeviceHealth::Streaming && self.is_awaited() {
+        self.n_in_vain += 1;
+        let is_stalled = self.n_in_vain >= STALLED_AFTER && self.is_awaited();
+        if is_stalled && self.health == DeviceHealth::Streaming {
             self.turn(DeviceHealth::Stalled, deliver);
         }
         None
@@ -216,6 +224,7 @@ impl Device<'_> {
 
     /// The device has delivered something.
     fn heard(&mut self, deliver: &mut impl FnMut(Delivery) -> bool) {
+        self.n_in_vain = 0;
         self.last_heard = Instant::now();
         if self.health != DeviceHealth::Streaming {
             tracing::info!("the camera is back");
@@ -232,162 +241,4 @@ impl Device<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use depth_camera::{CameraInfo, Image};
-    use simulated::SimulatedCamera;
-    use std::collections::VecDeque;
-
-    struct Script {
-        info: CameraInfo,
-        answers: VecDeque<Result<Option<Frame>, CameraError>>,
-    }
-
-    impl DepthCamera for Script {
-        fn info(&self) -> &CameraInfo {
-            &self.info
-        }
-
-        fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
-            let silence = Err(CameraError::Timeout { waited: timeout });
-            self.answers.pop_front().unwrap_or(silence)
-        }
-    }
-
-    #[derive(Default)]
-    struct Sink {
-        frames: Vec<u64>,
-        events: Vec<Event>,
-        health: Vec<DeviceHealth>,
-    }
-
-    fn frame(frame_id: u64) -> Result<Option<Frame>, CameraError> {
-        Ok(Some(Frame {
-            frame_id,
-            device_time_secs: frame_id as f64,
-            host_time: Instant::now(),
-            depth: Some(Image::filled(1, 1, 1.0)),
-            ir: None,
-        }))
-    }
-
-    fn run(answers: Vec<Result<Option<Frame>, CameraError>>) -> (CaptureSummary, Sink) {
-        let params = CaptureParams {
-            max_silence_secs: 0.0,
-            ..CaptureParams::default()
-        };
-        run_with(&params, Some(1), answers)
-    }
-
-    /// A live camera is one that announces no number of frames.
-    fn run_with(
-        params: &CaptureParams,
-        n_frames: Option<usize>,
-        answers: Vec<Result<Option<Frame>, CameraError>>,
-    ) -> (CaptureSummary, Sink) {
-        let mut camera = Script {
-            info: CameraInfo {
-                n_frames,
-                ..SimulatedCamera::kinect2_plaque(1, 0).info().clone()
-            },
-            answers: answers.into(),
-        };
-        let mut sink = Sink::default();
-        let stop = AtomicBool::new(false);
-        let summary = run_device(&mut camera, params, &stop, |delivery| {
-            match delivery {
-                Delivery::Frame(frame) => sink.frames.push(frame.frame_id),
-                Delivery::Event(event) => sink.events.push(event),
-                Delivery::Health(health) => sink.health.push(health),
-            }
-            true
-        });
-        (summary, sink)
-    }
-
-    #[test]
-    fn a_damaged_frame_is_counted_and_told_and_the_stream_goes_on() {
-        let damage = CameraError::DamagedFrame {
-            frame_id: 1,
-            reason: "torn".into(),
-        };
-        let (summary, sink) = run(vec![frame(0), Err(damage), frame(2), Ok(None)]);
-        assert_eq!((summary.n_frames, summary.n_damaged), (3, 1));
-        assert_eq!(summary.end, CaptureEnd::EndOfStream);
-        assert_eq!(sink.frames, [0, 2]);
-        assert_eq!(sink.events.len(), 1);
-    }
-
-    #[test]
-    fn a_camera_that_is_gone_or_silent_ends_the_stream() {
-        let (summary, _) = run(vec![frame(0), Err(CameraError::Disconnected)]);
-        assert_eq!(summary.end, CaptureEnd::Failed(CameraError::Disconnected));
-        let (summary, sink) = run(vec![frame(0)]);
-        assert_eq!(summary.n_timeouts, 1);
-        assert!(matches!(
-            summary.end,
-            CaptureEnd::Failed(CameraError::Timeout { .. })
-        ));
-        assert_eq!(sink.frames, [0]);
-    }
-
-    /// A live device's parameters: it is away after three timeouts or so, and awaited for `reconnect_secs`.
-    fn patient(reconnect_secs: f64) -> CaptureParams {
-        CaptureParams {
-            grab_timeout_secs: 0.001,
-            max_silence_secs: 1000.0,
-            reconnect_secs,
-            ..CaptureParams::default()
-        }
-    }
-
-    fn timeout() -> Result<Option<Frame>, CameraError> {
-        Err(CameraError::Timeout {
-            waited: Duration::ZERO,
-        })
-    }
-
-    #[test]
-    fn a_live_camera_that_was_unplugged_is_awaited_and_carries_on() {
-        use DeviceHealth::{Gone, Stalled, Streaming};
-        let answers = vec![
-            frame(5),
-            timeout(),
-            timeout(),
-            frame(6),
-            Err(CameraError::Disconnected),
-            timeout(),
-            Err(CameraError::PermissionDenied),
-            frame(0),
-            frame(1),
-            Ok(None),
-        ];
-        let (summary, sink) = run_with(&patient(1000.0), None, answers);
-        assert_eq!(summary.end, CaptureEnd::EndOfStream);
-        assert_eq!(summary.n_frames, 4);
-        assert_eq!(sink.frames, [5, 6, 7, 8], "numbers go on");
-        assert_eq!(sink.health, [Stalled, Streaming, Gone, Streaming]);
-    }
-
-    #[test]
-    fn a_live_camera_is_given_up_in_the_end_or_if_it_never_came() {
-        let gone = || Err(CameraError::Disconnected);
-        let impatient = CaptureParams {
-            max_silence_secs: 0.0,
-            ..patient(0.0)
-        };
-        let (summary, sink) = run_with(&impatient, None, vec![frame(0), gone(), frame(1)]);
-        assert_eq!(summary.end, CaptureEnd::Failed(CameraError::Disconnected));
-        assert_eq!(
-            (sink.frames.as_slice(), sink.health.len()),
-            ([0].as_slice(), 0)
-        );
-        let (summary, sink) = run_with(&patient(1000.0), None, vec![gone(), frame(0)]);
-        assert_eq!(summary.end, CaptureEnd::Failed(CameraError::Disconnected));
-        assert!(sink.health.is_empty());
-        let denied = Err(CameraError::PermissionDenied);
-        let (summary, _) = run_with(&patient(1000.0), None, vec![frame(0), denied]);
-        let failed = CaptureEnd::Failed(CameraError::PermissionDenied);
-        assert_eq!(summary.end, failed, "it was not unplugged");
-    }
-}
+mod tests;

@@ -39,6 +39,7 @@ mod depth_correction;
 mod output_folder;
 mod pictures;
 mod report;
+mod threads;
 mod timing;
 
 pub use crate::{
@@ -79,16 +80,11 @@ use edges::DropCounts;
 use fusion_stage::FusionSetup;
 use handle::Threads;
 use live::surface::{self, SurfaceUpdate};
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::ThreadPoolBuildError;
 use refine_stage::RefineSetup;
 use report::Subject;
-use status::StatusSlot;
-use std::{
-    io,
-    num::NonZeroUsize,
-    sync::Arc,
-    thread::{self, JoinHandle},
-};
+use std::{io, num::NonZeroUsize, sync::Arc};
+use threads::{pool, spawn};
 
 /// Everything that a run needs to know; all parameters must have been validated.
 pub struct PipelineParams {
@@ -247,40 +243,6 @@ impl Pipeline {
             folder,
         })
     }
-}
-
-/// Starts a thread; names have 15 bytes at most, which is what the system shows. A panic is told of at once.
-fn spawn<T: Send + 'static>(
-    name: &str,
-    status: &StatusSlot,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> io::Result<JoinHandle<T>> {
-    let alarm = Alarm(status.clone());
-    thread::Builder::new().name(name.to_owned()).spawn(move || {
-        let _alarm = alarm;
-        body()
-    })
-}
-
-/// Tells of the panic of the thread that holds it.
-struct Alarm(StatusSlot);
-
-impl Drop for Alarm {
-    fn drop(&mut self) {
-        if thread::panicking() {
-            self.0.update(|status| {
-                status.has_fault = true;
-                status.state = State::Fault(Fault::Program);
-            });
-        }
-    }
-}
-
-fn pool(name: &'static str, n_threads: NonZeroUsize) -> Result<ThreadPool, ThreadPoolBuildError> {
-    ThreadPoolBuilder::new()
-        .num_threads(n_threads.get())
-        .thread_name(move |index| format!("{name}-{index}"))
-        .build()
 }
 
 fn subject(params: &PipelineParams, info: &CameraInfo, folder: &OutputFolder) -> Subject {

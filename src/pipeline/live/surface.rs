@@ -47,8 +47,8 @@ pub fn run(updates: &Receiver<SurfaceUpdate>, slot: &Slot<LiveSurface>, status: 
             vertices: surface.positions.len(),
             faces: surface.faces.len(),
         };
-        slot.write(Some(surface));
         status.update(|status| status.mesh = Some(mesh));
+        slot.write(Some(surface));
         thread::sleep((start.elapsed() * REST_SHARE).min(MAX_REST));
     }
 }
