@@ -123,6 +123,11 @@ impl Recorder {
         }
     }
 
+    /// Whether something could not be written.
+    pub fn has_failed(&self) -> bool {
+        !self.summary.failures.is_empty()
+    }
+
     /// Ends the recording.
     pub fn finish(mut self) -> RecorderSummary {
         self.finish_session();

@@ -170,8 +170,9 @@ impl Pipeline {
         let (tracked_in, tracked_out) = edges::tracked(&watch.events);
         let (scans_in, scans_out) = edges::scans();
         let events_in = tracked_in.clone();
-        let (live, status_of_sewing) = (watch.live.clone(), watch.status.clone());
-        let status = &watch.status;
+        let live = watch.live.clone();
+        let (status, status_of_sewing) = (&watch.status, watch.status.clone());
+        let status_of_recorder = watch.status.clone();
 
         let threads = Threads {
             device: Some(spawn("device", status, move || {
@@ -181,7 +182,13 @@ impl Pipeline {
                 fusion_stage::run(fusion, frames_out, &commands_out, tracked_in, scans_in)
             })?,
             recorder: Some(spawn("recorder", status, move || {
-                recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
+                recorder_stage::run(
+                    recorder,
+                    recording_out,
+                    tracked_out,
+                    &outbox_of_recorder,
+                    &status_of_recorder,
+                )
             })?),
             sewing: Some(spawn("sewing", status, move || {
                 surface::run(&surfaces_out, &live.surface, &status_of_sewing)

@@ -237,22 +237,23 @@ impl FusionStage {
     fn handle(&mut self, frame: &Arc<Frame>) {
         self.note_gaps();
         self.last_frame_id = frame.frame_id;
+        let saturated_share = self.saturated_share(frame);
         let place = match self.operator.is_paused {
             true => Place::Paused,
-            false => self.use_up(frame),
+            false => self.use_up(frame, saturated_share),
         };
-        self.publish(frame, place);
+        self.publish(frame, place, saturated_share);
         self.show(Some(frame));
     }
 
-    fn use_up(&mut self, frame: &Arc<Frame>) -> Place {
+    fn use_up(&mut self, frame: &Arc<Frame>, saturated_share: Option<f64>) -> Place {
         let frame = &self.corrected(frame);
         let outcome = self.fuse(frame);
         self.of_frames = self.conditions.observe(&Observed {
             time_secs: frame.device_time_secs,
             outcome: outcome.as_ref(),
             depth: DepthStatistics::of(frame.depth.as_ref(), self.range[0], self.range[1]),
-            saturated_share: self.saturated_share(frame),
+            saturated_share,
         });
         let place = self.account(frame, outcome.as_ref());
         if let Some(outcome) = &outcome {

@@ -25,6 +25,8 @@ use std::time::Duration;
 const BETWEEN_PREVIEWS: Duration = Duration::from_millis(90);
 /// ... and what changes slowly, the mesh above all.
 const BETWEEN_MESHES: Duration = Duration::from_millis(500);
+/// ... and the strip of shading images, for which the choice among them is made.
+const BETWEEN_STRIPS: Duration = Duration::from_secs(1);
 /// Most poses of a path.
 const MAX_PATH: usize = 2000;
 
@@ -150,7 +152,7 @@ impl FusionStage {
     fn show_snapshots(&mut self) {
         let showing = &mut self.showing;
         if let (Some(selector), Some(full_scale)) = (&self.selector, showing.full_scale)
-            && showing.live.snapshots.is_due(BETWEEN_MESHES)
+            && showing.live.snapshots.is_due(BETWEEN_STRIPS)
         {
             let strip = showing.snapshots.strip(selector, full_scale);
             showing.live.snapshots.write(Some(strip));

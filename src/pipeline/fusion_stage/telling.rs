@@ -14,13 +14,14 @@ use crate::{
 use depth_camera::Frame;
 
 impl FusionStage {
+    /// Share of a frame's infrared image at full scale, where images are of use.
     pub(super) fn saturated_share(&self, frame: &Frame) -> Option<f64> {
         let selector = self.selector.as_ref()?;
         Some(selector.saturated_share(frame.ir.as_ref()?))
     }
 
-    pub(super) fn publish(&mut self, frame: &Frame, place: Place) {
-        let saturated_share = self.saturated_share(frame);
+    /// Tells what became of a frame.
+    pub(super) fn publish(&mut self, frame: &Frame, place: Place, saturated_share: Option<f64>) {
         let rate = self.pulse.beat();
         self.status.update(|status| {
             status.frames.arrived(place);
