@@ -20,6 +20,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("evaluate", &["geometry", "shading"]),
+    ("jobs", &["atomic_file"]),
     (
         "config",
         &[
@@ -30,6 +31,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "refine",
             "shading",
             "atomic_file",
+            "jobs",
         ],
     ),
     (
@@ -45,7 +47,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "export",
         ],
     ),
-    ("control", &["pipeline"]),
+    ("control", &["pipeline", "jobs"]),
 ];
 
 /// Files of the program, which puts everything together.
