@@ -9,6 +9,7 @@ use crate::{
     },
     geometry::TriMesh,
     refine::Refinement,
+    shading::Calibration,
     snapshot::ShadingSnapshot,
 };
 use depth_camera::{CameraInfo, Image};
@@ -19,14 +20,19 @@ use std::{
 
 /// The base mesh's file.
 pub const BASE_PLY: &str = "base.ply";
-/// The refined mesh's files.
+/// The refined mesh, with albedo, for tools of measurement.
 pub const REFINED_PLY: &str = "refined.ply";
-const REFINED_GLB: &str = "refined.glb";
+/// The refined mesh, for viewers.
+pub const REFINED_GLB: &str = "refined.glb";
 /// The poses of all fused frames.
 pub const TRAJECTORY: &str = "trajectory.txt";
 const SNAPSHOTS: &str = "snapshots";
-const REPORT_HTML: &str = "report.html";
-const REPORT_JSON: &str = "report.json";
+/// The calibration that the scan was made with.
+pub const CALIBRATION: &str = Calibration::FILE_NAME;
+/// The report as a page.
+pub const REPORT_HTML: &str = "report.html";
+/// The report for programs.
+pub const REPORT_JSON: &str = "report.json";
 
 /// Writes outputs into one folder and keeps account of them. A file that cannot be written costs the others nothing.
 #[derive(Debug)]

@@ -31,6 +31,9 @@ mod pictures;
 mod report;
 mod timing;
 
+pub use deliver::{
+    BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
+};
 pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;
 pub use fusion_stage::FusedScan;

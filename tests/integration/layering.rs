@@ -20,7 +20,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("evaluate", &["geometry", "shading"]),
-    ("jobs", &["atomic_file"]),
+    ("jobs", &["atomic_file", "pipeline"]),
     (
         "config",
         &[
