@@ -1,11 +1,12 @@
 //! The device thread: the camera's frames to fusion and recorder.
 
 use super::{
-    edges::{FrameSender, RecordingSender},
-    status::StopToken,
+    edges::{FrameSender, RecordingSender, TrackedSender},
+    status::{StatusSlot, StopToken},
 };
-use crate::capture::{CaptureParams, CaptureSummary, Delivery, IrOffset, Tracked, run_device};
-use crossbeam::channel::Sender;
+use crate::capture::{
+    CaptureParams, CaptureSummary, Delivery, EventKind, IrOffset, Tracked, run_device,
+};
 use depth_camera::DepthCamera;
 
 /// What the device thread needs to know.
@@ -19,7 +20,9 @@ pub struct DeviceSetup {
     /// Where the camera's IR image lies; fusion gets frames without the offset.
     pub ir_offset: IrOffset,
     /// Ends capture.
-    pub stop: StopToken,
+    pub end: StopToken,
+    /// Where the accounts of the frames are.
+    pub status: StatusSlot,
 }
 
 /// Runs the camera to the end of its stream.
@@ -27,17 +30,19 @@ pub fn run(
     mut setup: DeviceSetup,
     frames: &FrameSender,
     recording: &RecordingSender,
-    events: &Sender<Tracked>,
+    events: &TrackedSender,
 ) -> CaptureSummary {
-    let stop = setup.stop.flag();
+    let end = setup.end.flag();
     run_device(
         setup.camera.as_mut(),
         &setup.capture,
-        stop,
+        end,
         |delivery| match delivery {
-            // A recorder that is gone is told of where its thread is joined; fusion goes on without it.
             Delivery::Event(event) => {
-                let _ = events.send(Tracked::Event(event));
+                if let EventKind::Damaged { .. } = event.kind {
+                    setup.status.update(|status| status.frames.damaged());
+                }
+                events.send(Tracked::Event(event));
                 true
             }
             Delivery::Frame(frame) => {

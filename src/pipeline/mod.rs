@@ -15,6 +15,12 @@ pub mod edges;
 mod handle;
 mod status;
 
+mod accounts;
+mod command;
+mod event_log;
+mod live;
+mod state;
+
 mod device_stage;
 mod fusion_stage;
 mod given_poses;
@@ -31,17 +37,29 @@ mod pictures;
 mod report;
 mod timing;
 
+pub use crate::{
+    capture::{Event, EventKind},
+    snapshot::SequenceStep,
+};
+pub use accounts::FrameAccounts;
+pub use command::{Command, CommandRefused};
 pub use deliver::{
     BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
 };
 pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;
+pub use event_log::EventLog;
 pub use fusion_stage::FusedScan;
 pub use given_poses::GivenPoses;
 pub use handle::{Ending, Handle, Outcome, Watch};
+pub use live::{InterimScan, Live, LivePose, LiveSnapshot, LiveSurface, NextView, Preview};
 pub use output_folder::{OutputFolder, OutputFolderError};
 pub use recorded_scan::{RecordedScan, RecordedScanError};
-pub use status::{Phase, Status};
+pub use state::{Degradation, Fault, Loss, State};
+pub use status::{
+    DeviceHealth, MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus,
+    SnapshotCounts, Status,
+};
 pub use timing::peak_memory_bytes;
 
 use crate::{
@@ -52,6 +70,7 @@ use crate::{
     shading::Calibration,
     snapshot::SnapshotParams,
 };
+use command::CommandDesk;
 use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use device_stage::DeviceSetup;
@@ -133,7 +152,11 @@ impl Pipeline {
         folder: OutputFolder,
     ) -> Result<Handle, SpawnError> {
         let subject = subject(&params, camera.info(), &folder);
-        let watch = watch(camera.info());
+        let (commands_in, commands_out) = edges::commands();
+        let watch = Watch {
+            desk: Some(CommandDesk::new(commands_in)),
+            ..watch(camera.info())
+        };
         let drops = Arc::new(DropCounts::default());
         let outbox = Arc::new(Outbox::new(folder.path()));
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
@@ -142,9 +165,9 @@ impl Pipeline {
         let refine = refine_setup(&params, camera.info(), &watch)?;
         let device = device_setup(&params, camera, &watch);
 
-        let (frames_in, frames_out) = edges::frames(params.when_full, &drops);
+        let (frames_in, frames_out) = edges::frames(params.when_full, &watch.status);
         let (recording_in, recording_out) = edges::recording(params.when_full, &drops);
-        let (tracked_in, tracked_out) = edges::tracked();
+        let (tracked_in, tracked_out) = edges::tracked(&watch.events);
         let (scans_in, scans_out) = edges::scans();
         let events_in = tracked_in.clone();
 
@@ -153,7 +176,7 @@ impl Pipeline {
                 device_stage::run(device, &frames_in, &recording_in, &events_in)
             })?),
             fusion: spawn("fusion", move || {
-                fusion_stage::run(fusion, frames_out, tracked_in, scans_in)
+                fusion_stage::run(fusion, frames_out, &commands_out, tracked_in, scans_in)
             })?,
             recorder: Some(spawn("recorder", move || {
                 recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
@@ -185,6 +208,11 @@ impl Pipeline {
     ) -> Result<Handle, SpawnError> {
         let RecordedScan { info, scan } = recorded;
         let watch = watch(&info);
+        // Frames that were fused before this run are told of as its own.
+        let n_fused = scan.world_from_cameras.len() as u64;
+        watch
+            .status
+            .update(|status| (status.frames.produced, status.frames.fused) = (n_fused, n_fused));
         let refine = refine_setup(&params, &info, &watch)?;
         let outbox = Arc::new(Outbox::new(folder.path()));
         let outbox_of_refine = outbox.clone();
@@ -269,7 +297,8 @@ fn device_setup(
         capture: params.capture.clone(),
         record: params.record,
         ir_offset: IrOffset::nearest(params.calibration.ir_offset_px),
-        stop: watch.stop.clone(),
+        end: watch.end.clone(),
+        status: watch.status.clone(),
     }
 }
 

@@ -72,6 +72,35 @@ pub struct SnapshotSelection {
     pub rejected: Vec<Rejection>,
 }
 
+/// What the operator of a Kinect I is to do next for a shading image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SequenceStep {
+    /// Move to where the next shading image is to be taken.
+    #[default]
+    Track,
+    /// Hold still there.
+    HoldStill,
+    /// Cover the projector.
+    CoverProjector,
+    /// Light the lamp.
+    LampOn,
+    /// Enough exposures: uncover the projector again.
+    Uncover,
+}
+
+impl SequenceStep {
+    /// The step's stable name.
+    pub fn code(self) -> &'static str {
+        match self {
+            SequenceStep::Track => "track",
+            SequenceStep::HoldStill => "hold_still",
+            SequenceStep::CoverProjector => "cover_projector",
+            SequenceStep::LampOn => "lamp_on",
+            SequenceStep::Uncover => "uncover",
+        }
+    }
+}
+
 /// Chooses shading images while a scan goes on; the same frames give the same selection.
 pub struct SnapshotSelector {
     method: Method,

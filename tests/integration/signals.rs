@@ -80,10 +80,18 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
         let frames = &report["frames"];
         let count = |key: &str| frames[key].as_u64().unwrap();
         assert!(count("total") < 1800);
-        let accounted = ["fused", "lost", "damaged", "dropped", "without_depth"]
-            .iter()
-            .map(|key| count(key))
-            .sum::<u64>();
+        let accounted = [
+            "fused",
+            "lost",
+            "damaged",
+            "dropped",
+            "without_depth",
+            "paused",
+        ]
+        .iter()
+        .map(|key| count(key))
+        .sum::<u64>();
         assert_eq!(accounted, count("total"));
+        assert_eq!(frames["unaccounted"], 0);
     }
 }

@@ -1,24 +1,29 @@
 //! The fusion thread: frames in, and at the end of the stream one scan out: base mesh, camera poses, shading images.
 
+mod ending;
+
 use super::{
+    accounts::Place,
+    command::Command,
     depth_correction::DepthCorrection,
-    edges::FrameReceiver,
+    edges::{FrameReceiver, TrackedSender},
     given_poses::GivenPoses,
     losses::Losses,
-    status::{Phase, StatusSlot},
+    state::State,
+    status::StatusSlot,
     timing::StageClock,
 };
 use crate::{
     capture::{Event, EventKind, Tracked},
     export::StageTiming,
-    fusion::{
-        DepthNoise, Fusion, FusionParams, InfraredOptics, LoopClosure, PoseCorrection,
-        TrackingOutcome,
-    },
+    fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics, TrackingOutcome},
     geometry::{CameraModel, Pose, TriMesh, motion_between},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
 };
-use crossbeam::channel::Sender;
+use crossbeam::{
+    channel::{Receiver, Sender},
+    select,
+};
 use depth_camera::{CameraInfo, Frame, Image};
 use rayon::ThreadPool;
 use std::sync::Arc;
@@ -84,16 +89,27 @@ pub struct FusionSummary {
     pub timings: Vec<StageTiming>,
 }
 
-/// Fuses frames until there are no more, then sends the scan.
+/// Fuses frames and does what it is asked between them until there are no more frames, then sends the scan.
 pub fn run(
     setup: FusionSetup,
     frames: FrameReceiver,
-    tracked: Sender<Tracked>,
+    commands: &Receiver<Command>,
+    tracked: TrackedSender,
     scans: Sender<Arc<FusedScan>>,
 ) -> FusionSummary {
     let mut stage = FusionStage::new(setup, tracked);
-    while let Some(frame) = frames.recv() {
-        stage.handle(&frame);
+    loop {
+        select! {
+            recv(frames.channel()) -> frame => match frame {
+                Ok(frame) => stage.handle(&frame),
+                Err(_) => break,
+            },
+            recv(commands) -> command => {
+                // The other end lives as long as anybody may ask.
+                let Ok(command) = command else { break };
+                stage.obey(command);
+            }
+        }
     }
     let summary = stage.finish();
     if let Some(scan) = &summary.scan {
@@ -125,12 +141,13 @@ struct FusionStage {
     polish: bool,
     pool: ThreadPool,
     status: StatusSlot,
-    tracked: Sender<Tracked>,
+    tracked: TrackedSender,
     summary: FusionSummary,
     /// Times (s) and poses of all fused frames.
     trajectory: Vec<(f64, Pose)>,
     last_depth: Option<Image<f32>>,
     had_depth: bool,
+    is_paused: bool,
     /// Of the frame that was tracked last: see [`Fit::fitness`](crate::fusion::Fit::fitness).
     fitness: Option<f64>,
     correction_clock: StageClock,
@@ -140,7 +157,7 @@ struct FusionStage {
 }
 
 impl FusionStage {
-    fn new(setup: FusionSetup, tracked: Sender<Tracked>) -> Self {
+    fn new(setup: FusionSetup, tracked: TrackedSender) -> Self {
         let camera = CameraModel::new(setup.info.intrinsics);
         let noise = DepthNoise::of_sensor(setup.info.sensor);
         FusionStage {
@@ -162,6 +179,7 @@ impl FusionStage {
             trajectory: Vec::new(),
             last_depth: None,
             had_depth: true,
+            is_paused: false,
             fitness: None,
             correction_clock: StageClock::new("multipath"),
             revision_clock: StageClock::new("fusing again with corrected depth"),
@@ -170,18 +188,47 @@ impl FusionStage {
         }
     }
 
+    /// Does what the operator asks.
+    fn obey(&mut self, command: Command) {
+        tracing::info!(?command, "the operator asks");
+        match command {
+            Command::Pause => self.is_paused = true,
+            Command::Resume => {
+                self.is_paused = false;
+                self.fusion.interrupt();
+            }
+            // The device thread ends its stream, and with it this loop.
+            Command::Finish | Command::Abandon => {}
+            Command::Snapshot | Command::Undo { .. } | Command::Refine | Command::Reset => {}
+        }
+        let is_paused = self.is_paused;
+        self.status.update(|status| {
+            status.state = match is_paused {
+                true => State::Paused,
+                false => status.state,
+            };
+        });
+    }
+
     /// One frame: track and fuse it, tell what became of it, and consider it for shading.
     fn handle(&mut self, frame: &Arc<Frame>) {
-        let frame = &self.corrected(frame);
-        match self.fuse(frame) {
-            Some(outcome) => {
-                self.account(frame, &outcome);
-                self.consider(frame, &outcome);
-            }
-            None => self.lost(frame, "no given pose within 20 ms".to_owned()),
+        if self.is_paused {
+            return self.publish(Place::Paused);
         }
+        let frame = &self.corrected(frame);
+        let place = match self.fuse(frame) {
+            Some(outcome) => {
+                let place = self.account(frame, &outcome);
+                self.consider(frame, &outcome);
+                place
+            }
+            None => {
+                self.lost(frame, "no given pose within 20 ms".to_owned());
+                Place::Lost
+            }
+        };
         self.note_refusal();
-        self.publish();
+        self.publish(place);
     }
 
     /// The frame without multipath, as far as that is known now.
@@ -229,7 +276,7 @@ impl FusionStage {
         Some(outcome)
     }
 
-    fn account(&mut self, frame: &Frame, outcome: &TrackingOutcome) {
+    fn account(&mut self, frame: &Frame, outcome: &TrackingOutcome) -> Place {
         match outcome {
             TrackingOutcome::Tracked {
                 world_from_camera,
@@ -237,14 +284,19 @@ impl FusionStage {
             } => {
                 self.found(frame, world_from_camera);
                 self.note_fitness(frame, fit.map(|fit| fit.fitness));
+                Place::Fused
             }
             TrackingOutcome::NoDepth => {
                 self.summary.n_without_depth += 1;
                 if std::mem::replace(&mut self.had_depth, false) {
                     self.tell(frame, EventKind::NoDepth);
                 }
+                Place::WithoutDepth
             }
-            TrackingOutcome::Lost(reason) => self.lost(frame, super::losses::sentence(reason)),
+            TrackingOutcome::Lost(reason) => {
+                self.lost(frame, super::losses::sentence(reason));
+                Place::Lost
+            }
         }
     }
 
@@ -311,19 +363,15 @@ impl FusionStage {
         }
     }
 
-    fn publish(&self) {
-        let summary = &self.summary;
+    fn publish(&self, place: Place) {
         let n_snapshots = self
             .selector
             .as_ref()
             .map_or(0, SnapshotSelector::n_accepted);
         self.status.update(|status| {
-            status.n_handled += 1;
-            status.n_fused = summary.n_fused;
-            status.n_lost = summary.n_lost;
-            status.is_lost = summary.losses.is_lost();
+            status.frames.arrived(place);
             status.fitness = self.fitness;
-            status.n_snapshots = n_snapshots;
+            status.snapshots.accepted = n_snapshots;
         });
     }
 
@@ -336,115 +384,6 @@ impl FusionStage {
     }
 
     fn send(&self, tracked: Tracked) {
-        // A recorder that is gone is told of where its thread is joined.
-        let _ = self.tracked.send(tracked);
+        self.tracked.send(tracked);
     }
-
-    /// Closes loops and takes the mesh out of the volume, whose memory is free before refinement begins.
-    fn finish(mut self) -> FusionSummary {
-        let mut closing_clock = StageClock::new("loop closing");
-        let mut meshing_clock = StageClock::new("mesh extraction");
-        self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
-        self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
-        if self.summary.n_fused > 0 {
-            self.status.update(|status| status.phase = Phase::Meshing);
-            let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
-            self.revise(snapshots.as_mut());
-            let closure = closing_clock.time(|| {
-                let (fusion, pool) = (&mut self.fusion, &self.pool);
-                pool.install(|| fusion.close_loops())
-            });
-            if let Some(closure) = &closure {
-                tell_of(closure);
-                self.correct(&closure.correction, snapshots.as_mut());
-            }
-            if self.poses.is_none() {
-                self.settle(snapshots.as_mut());
-            }
-            self.summary.refusal = self.fusion.refusal();
-            let (fusion, pool) = (&self.fusion, &self.pool);
-            let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
-            tracing::info!(
-                n_fused = self.summary.n_fused,
-                volume_mib = fusion.memory_bytes() >> 20,
-                vertices = base.vertices.len(),
-                faces = base.faces.len(),
-                "base mesh extracted"
-            );
-            self.summary.scan = Some(Arc::new(FusedScan {
-                base,
-                world_from_cameras: self.trajectory.iter().map(|(_, pose)| *pose).collect(),
-                snapshots,
-                last_depth: self.last_depth,
-            }));
-        }
-        self.summary.timings = [
-            self.correction_clock,
-            self.fusion_clock,
-            self.selection_clock,
-            self.revision_clock,
-            closing_clock,
-            meshing_clock,
-        ]
-        .iter()
-        .filter_map(StageClock::timing)
-        .collect();
-        self.summary
-    }
-
-    /// Lets the shading images settle on the finished model.
-    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
-        let (fusion, pool) = (&mut self.fusion, &self.pool);
-        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
-            let settled =
-                pool.install(|| fusion.settle(&snapshot.depth_m, &snapshot.world_from_camera));
-            if let Some(pose) = settled {
-                snapshot.world_from_camera = pose;
-            }
-        }
-    }
-
-    /// Fuses the scan again if it tells of errors of its depth that were not taken off.
-    fn revise(&mut self, mut snapshots: Option<&mut SnapshotSelection>) {
-        let (correction, fusion, pool) = (&self.correction, &self.fusion, &self.pool);
-        let revised = self
-            .revision_clock
-            .time(|| pool.install(|| correction.revise(fusion)));
-        let Some(revised) = revised else {
-            return;
-        };
-        for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
-            let time_secs = snapshot.device_time_secs;
-            snapshot.depth_m = correction.revised_depth(&snapshot.depth_m, time_secs, &revised);
-        }
-        self.fusion = revised.fusion;
-        self.correct(&revised.correction, snapshots);
-    }
-
-    /// Moves all poses that were handed out.
-    fn correct(&mut self, correction: &PoseCorrection, snapshots: Option<&mut SnapshotSelection>) {
-        for (time_secs, pose) in &mut self.trajectory {
-            *pose = correction.apply(*time_secs, pose);
-        }
-        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
-            snapshot.world_from_camera =
-                correction.apply(snapshot.device_time_secs, &snapshot.world_from_camera);
-        }
-        self.summary.path_length_m = self
-            .trajectory
-            .windows(2)
-            .map(|pair| motion_between(&pair[0].1, &pair[1].1).translation_m)
-            .sum();
-        self.send(Tracked::Corrected(self.trajectory.clone()));
-    }
-}
-
-fn tell_of(closure: &LoopClosure) {
-    tracing::info!(
-        n_fragments = closure.n_fragments,
-        n_loops = closure.n_loops,
-        misfit_before_m = closure.misfit_before_m,
-        misfit_after_m = closure.misfit_after_m,
-        "loops closed"
-    );
 }
