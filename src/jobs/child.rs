@@ -118,6 +118,8 @@ fn arguments(attempt: &Attempt) -> Vec<OsString> {
         (&attempt.scan).into(),
         "--out".into(),
         (&attempt.out).into(),
+        "--deliver-to".into(),
+        (&attempt.scan).into(),
         "--config".into(),
         (&attempt.settings).into(),
         "--calibration-dir".into(),
@@ -225,7 +227,11 @@ fn for_each_line(pipe: impl Read, mut take: impl FnMut(&str)) {
     let mut line = Vec::new();
     loop {
         line.clear();
-        match pipe.by_ref().take(MAX_LINE_BYTES).read_until(b'\n', &mut line) {
+        match pipe
+            .by_ref()
+            .take(MAX_LINE_BYTES)
+            .read_until(b'\n', &mut line)
+        {
             Ok(0) | Err(_) => return,
             Ok(_) => take(&String::from_utf8_lossy(&line)),
         }

@@ -32,13 +32,15 @@ impl Limits {
 
     /// As arguments of `relief refine`.
     pub fn arguments(&self) -> Vec<String> {
-        let flag = |name: &str, value: Option<String>| {
-            value.map(|value| format!("--{name}={value}"))
-        };
+        let flag =
+            |name: &str, value: Option<String>| value.map(|value| format!("--{name}={value}"));
         [
             flag("nice", self.nice.map(|nice| nice.to_string())),
             flag("max-memory-mb", self.max_memory_mb.map(|mb| mb.to_string())),
-            flag("max-cpu-secs", self.max_cpu_secs.map(|secs| secs.to_string())),
+            flag(
+                "max-cpu-secs",
+                self.max_cpu_secs.map(|secs| secs.to_string()),
+            ),
             flag("parent", self.parent.map(|pid| pid.to_string())),
         ]
         .into_iter()
@@ -56,7 +58,9 @@ impl Limits {
             // It may have ended before the line above.
             let present = process::getppid().map(Pid::as_raw_pid);
             if present.and_then(|pid| u32::try_from(pid).ok()) != Some(parent) {
-                return Err(io::Error::other("the process that started this one is gone"));
+                return Err(io::Error::other(
+                    "the process that started this one is gone",
+                ));
             }
         }
         if let Some(nice) = self.nice {

@@ -9,11 +9,7 @@ use super::{
     spool::{self, Record},
     worker::{Board, Shared, lock},
 };
-use std::{
-    fs, io,
-    sync::PoisonError,
-    time::Duration,
-};
+use std::{fs, io, sync::PoisonError, time::Duration};
 
 /// After the disk has refused, the worker looks again so much later.
 const AFTER_REFUSAL: Duration = Duration::from_secs(5);
@@ -44,7 +40,10 @@ impl Shared {
 
     fn pause(&self, duration: Duration) {
         let goes_on = |board: &mut Board| !board.is_stopping;
-        drop(self.news.wait_timeout_while(lock(&self.board), duration, goes_on));
+        drop(
+            self.news
+                .wait_timeout_while(lock(&self.board), duration, goes_on),
+        );
     }
 
     /// Runs jobs until none waits or the worker is to stop.
@@ -77,10 +76,12 @@ impl Shared {
         }
         let number = record.failures.len() + 1;
         tracing::info!(job = %record.id, scan = record.scan, attempt = number, "refinement begins");
-        let ended = self.attempt(record).unwrap_or_else(|error| AttemptEnd::Failed {
-            reason: format!("{} does not run: {error}", self.setup.program.display()),
-            may_repeat: true,
-        });
+        let ended = self
+            .attempt(record)
+            .unwrap_or_else(|error| AttemptEnd::Failed {
+                reason: format!("{} does not run: {error}", self.setup.program.display()),
+                may_repeat: true,
+            });
         if ended != AttemptEnd::Refined {
             self.clear(record)?;
         }

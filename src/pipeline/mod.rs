@@ -158,7 +158,10 @@ impl Pipeline {
             ..watch(camera.info())
         };
         let drops = Arc::new(DropCounts::default());
-        let outbox = Arc::new(Outbox::new(folder.path()));
+        let outbox = Arc::new(Outbox::new(&folder));
+        if camera.info().ir_full_scale.is_some() {
+            outbox.calibration(&params.calibration);
+        }
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
         let fusion = fusion_setup(&params, camera.info(), &watch)?;
@@ -214,7 +217,7 @@ impl Pipeline {
             .status
             .update(|status| (status.frames.produced, status.frames.fused) = (n_fused, n_fused));
         let refine = refine_setup(&params, &info, &watch)?;
-        let outbox = Arc::new(Outbox::new(folder.path()));
+        let outbox = Arc::new(Outbox::new(&folder));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
         let threads = Threads {
@@ -257,7 +260,7 @@ fn subject(params: &PipelineParams, info: &CameraInfo, folder: &OutputFolder) ->
         info: info.clone(),
         calibration: params.calibration_source.clone(),
         warnings: params.warnings.clone(),
-        folder: folder.path().to_owned(),
+        folder: folder.name().to_owned(),
     }
 }
 

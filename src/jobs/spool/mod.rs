@@ -63,11 +63,6 @@ impl Spool {
         Ok(spool)
     }
 
-    /// Where scans lie.
-    pub fn sessions(&self) -> &Path {
-        &self.sessions
-    }
-
     /// The folder of a job's scan.
     pub fn scan_folder(&self, record: &Record) -> PathBuf {
         self.sessions.join(&record.scan)

@@ -181,6 +181,7 @@ impl Spool {
     pub fn put_back(&self, id: &JobId) -> Result<(), JobError> {
         let mut record = self.running(id)?;
         record.attempt = None;
+        record.is_landing = false;
         let to = record.ending.as_ref().map_or(Place::Waiting, Ending::place);
         self.settle(Place::Running, &record, to)
     }
