@@ -9,6 +9,8 @@ mod bad_input;
 mod bench;
 mod calibrate;
 mod delivery;
+mod service;
 mod signals;
+mod worker;
 
 mod support;

@@ -1,30 +1,13 @@
 //! A signal ends a run in order.
 
-use crate::support::{PROGRAM, Workbench};
+use crate::support::{PROGRAM, Workbench, poll};
 use serde_json::Value;
 use std::{
     fmt::Write,
     fs,
     path::Path,
     process::{Child, Command, Stdio},
-    thread,
-    time::{Duration, Instant},
 };
-
-/// Generous: a busy machine is no fault.
-const GRACE: Duration = Duration::from_secs(30);
-
-/// Looks again and again until there is an answer.
-fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let deadline = Instant::now() + GRACE;
-    loop {
-        if let Some(answer) = look() {
-            return answer;
-        }
-        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
-        thread::sleep(Duration::from_millis(10));
-    }
-}
 
 /// Lists the images of a recording over and over, a minute long.
 fn prolong(session: &Path) {

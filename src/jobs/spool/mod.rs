@@ -173,7 +173,7 @@ impl Spool {
                 (None, None) => self.move_record(place, &record.id, Place::Waiting)?,
             }
         }
-        Ok(())
+        self.supersede().map(drop)
     }
 
     /// Removes partial files, and settings that no job has.

@@ -58,7 +58,7 @@ impl Spool {
     }
 
     /// Leaves of the waiting jobs of each scan the newest; returns these in the order of asking.
-    fn supersede(&self) -> Result<Vec<Record>, JobError> {
+    pub(super) fn supersede(&self) -> Result<Vec<Record>, JobError> {
         let mut newest: BTreeMap<String, Record> = BTreeMap::new();
         for record in self.records(Place::Waiting)? {
             if let Some(older) = newest.insert(record.scan.clone(), record) {
