@@ -5,7 +5,8 @@ use super::{
     status::{StatusSlot, StopToken},
 };
 use crate::capture::{
-    CaptureParams, CaptureSummary, Delivery, EventKind, IrOffset, Tracked, run_device,
+    CaptureParams, CaptureSummary, Delivery, DeviceHealth, Event, EventKind, IrOffset, Tracked,
+    run_device,
 };
 use depth_camera::DepthCamera;
 
@@ -33,6 +34,7 @@ pub fn run(
     events: &TrackedSender,
 ) -> CaptureSummary {
     let end = setup.end.flag();
+    let mut last_frame_id = 0;
     run_device(
         setup.camera.as_mut(),
         &setup.capture,
@@ -45,7 +47,20 @@ pub fn run(
                 events.send(Tracked::Event(event));
                 true
             }
+            Delivery::Health(health) => {
+                setup.status.update(|status| {
+                    status.device = health;
+                    status.n_device_gaps += u64::from(health == DeviceHealth::Streaming);
+                });
+                events.send(Tracked::Event(Event {
+                    frame_id: last_frame_id,
+                    device_time_secs: None,
+                    kind: EventKind::Device { health },
+                }));
+                true
+            }
             Delivery::Frame(frame) => {
+                last_frame_id = frame.frame_id;
                 if setup.record {
                     recording.send(frame.clone());
                 }

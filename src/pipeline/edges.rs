@@ -6,11 +6,12 @@
 //! | device → recorder, frames | 64 | [`WhenFull`]: a recording blocks; a live device leaves out IR from three quarters on, then drops the frame; both are counted |
 //! | device, fusion → recorder, events and poses | 1024 | blocks: nothing of it may be lost, and the recorder never waits for its sender |
 //! | outside → fusion, commands | 8 | refused: whoever asks never waits |
+//! | fusion → sewing, changed patches of the surface | 1 | not made: the next ones are newer |
 //! | fusion → refine, the fused scan | 1 | never: one scan is sent |
 
 use super::{
     accounts::Place, command::Command, event_log::EventLog, fusion_stage::FusedScan,
-    status::StatusSlot,
+    live::surface::SurfaceUpdate, status::StatusSlot,
 };
 use crate::capture::Tracked;
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
@@ -26,6 +27,7 @@ const RECORDING: usize = 64;
 const RECORDING_WITHOUT_IR: usize = RECORDING / 4 * 3;
 const TRACKED: usize = 1024;
 const COMMANDS: usize = 8;
+const SURFACES: usize = 1;
 const SCANS: usize = 1;
 
 /// What the device thread does when its consumers are slower than the device.
@@ -218,6 +220,11 @@ impl TrackedSender {
 /// Outside → fusion.
 pub fn commands() -> (Sender<Command>, Receiver<Command>) {
     bounded(COMMANDS)
+}
+
+/// Fusion → sewing.
+pub fn surfaces() -> (Sender<SurfaceUpdate>, Receiver<SurfaceUpdate>) {
+    bounded(SURFACES)
 }
 
 /// Fusion → refine.

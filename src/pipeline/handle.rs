@@ -34,6 +34,7 @@ pub(super) struct Threads {
     pub device: Option<JoinHandle<CaptureSummary>>,
     pub fusion: JoinHandle<FusionSummary>,
     pub recorder: Option<JoinHandle<RecorderSummary>>,
+    pub sewing: Option<JoinHandle<()>>,
     pub refine: JoinHandle<RefineSummary>,
 }
 
@@ -140,6 +141,9 @@ impl Handle {
         let fusion = ended("fusion", self.threads.fusion, outbox).unwrap_or_default();
         if let Some(recorder) = self.threads.recorder {
             ended("recorder", recorder, outbox);
+        }
+        if let Some(sewing) = self.threads.sewing {
+            ended("sewing", sewing, outbox);
         }
         let refined =
             ended("refine", self.threads.refine, outbox).unwrap_or_else(|| RefineSummary {

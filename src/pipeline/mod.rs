@@ -21,6 +21,10 @@ mod event_log;
 mod live;
 mod state;
 
+mod conditions;
+mod depth_statistics;
+mod standing;
+
 mod device_stage;
 mod fusion_stage;
 mod given_poses;
@@ -35,10 +39,11 @@ mod depth_correction;
 mod output_folder;
 mod pictures;
 mod report;
+mod threads;
 mod timing;
 
 pub use crate::{
-    capture::{Event, EventKind},
+    capture::{DeviceHealth, Event, EventKind},
     snapshot::SequenceStep,
 };
 pub use accounts::FrameAccounts;
@@ -57,8 +62,7 @@ pub use output_folder::{OutputFolder, OutputFolderError};
 pub use recorded_scan::{RecordedScan, RecordedScanError};
 pub use state::{Degradation, Fault, Loss, State};
 pub use status::{
-    DeviceHealth, MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus,
-    SnapshotCounts, Status,
+    MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
 };
 pub use timing::peak_memory_bytes;
 
@@ -71,21 +75,19 @@ use crate::{
     snapshot::SnapshotParams,
 };
 use command::CommandDesk;
+use crossbeam::channel::Sender;
 use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use device_stage::DeviceSetup;
 use edges::DropCounts;
 use fusion_stage::FusionSetup;
 use handle::Threads;
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use live::surface::{self, SurfaceUpdate};
+use rayon::ThreadPoolBuildError;
 use refine_stage::RefineSetup;
 use report::Subject;
-use std::{
-    io,
-    num::NonZeroUsize,
-    sync::Arc,
-    thread::{self, JoinHandle},
-};
+use std::{io, num::NonZeroUsize, sync::Arc};
+use threads::{pool, spawn};
 
 /// Everything that a run needs to know; all parameters must have been validated.
 pub struct PipelineParams {
@@ -164,7 +166,8 @@ impl Pipeline {
         }
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
-        let fusion = fusion_setup(&params, camera.info(), &watch)?;
+        let (surfaces_in, surfaces_out) = edges::surfaces();
+        let fusion = fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?;
         let refine = refine_setup(&params, camera.info(), &watch)?;
         let device = device_setup(&params, camera, &watch);
 
@@ -173,18 +176,30 @@ impl Pipeline {
         let (tracked_in, tracked_out) = edges::tracked(&watch.events);
         let (scans_in, scans_out) = edges::scans();
         let events_in = tracked_in.clone();
+        let live = watch.live.clone();
+        let (status, status_of_sewing) = (&watch.status, watch.status.clone());
+        let status_of_recorder = watch.status.clone();
 
         let threads = Threads {
-            device: Some(spawn("device", move || {
+            device: Some(spawn("device", status, move || {
                 device_stage::run(device, &frames_in, &recording_in, &events_in)
             })?),
-            fusion: spawn("fusion", move || {
+            fusion: spawn("fusion", status, move || {
                 fusion_stage::run(fusion, frames_out, &commands_out, tracked_in, scans_in)
             })?,
-            recorder: Some(spawn("recorder", move || {
-                recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
+            recorder: Some(spawn("recorder", status, move || {
+                recorder_stage::run(
+                    recorder,
+                    recording_out,
+                    tracked_out,
+                    &outbox_of_recorder,
+                    &status_of_recorder,
+                )
             })?),
-            refine: spawn("refine", move || {
+            sewing: Some(spawn("sewing", status, move || {
+                surface::run(&surfaces_out, &live.surface, &status_of_sewing)
+            })?),
+            refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
         };
@@ -220,11 +235,15 @@ impl Pipeline {
         let outbox = Arc::new(Outbox::new(&folder));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
+        let status = &watch.status;
         let threads = Threads {
             device: None,
-            fusion: spawn("fusion", move || fusion_stage::send(scan, &scans_in))?,
+            fusion: spawn("fusion", status, move || {
+                fusion_stage::send(scan, &scans_in)
+            })?,
             recorder: None,
-            refine: spawn("refine", move || {
+            sewing: None,
+            refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
         };
@@ -237,21 +256,6 @@ impl Pipeline {
             folder,
         })
     }
-}
-
-/// Starts a thread; names have 15 bytes at most, which is what the system shows.
-fn spawn<T: Send + 'static>(
-    name: &str,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> io::Result<JoinHandle<T>> {
-    thread::Builder::new().name(name.to_owned()).spawn(body)
-}
-
-fn pool(name: &'static str, n_threads: NonZeroUsize) -> Result<ThreadPool, ThreadPoolBuildError> {
-    ThreadPoolBuilder::new()
-        .num_threads(n_threads.get())
-        .thread_name(move |index| format!("{name}-{index}"))
-        .build()
 }
 
 fn subject(params: &PipelineParams, info: &CameraInfo, folder: &OutputFolder) -> Subject {
@@ -309,6 +313,8 @@ fn fusion_setup(
     params: &PipelineParams,
     info: &CameraInfo,
     watch: &Watch,
+    surfaces: Sender<SurfaceUpdate>,
+    folder: &OutputFolder,
 ) -> Result<FusionSetup, ThreadPoolBuildError> {
     Ok(FusionSetup {
         info: info.clone(),
@@ -324,6 +330,9 @@ fn fusion_setup(
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),
+        live: watch.live.clone(),
+        surfaces,
+        folder: folder.path().to_owned(),
     })
 }
 

@@ -210,3 +210,51 @@ impl Fault {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_state_has_a_name_of_its_own_and_says_what_helps() {
+        let degradations = [
+            Degradation::TooFast,
+            Degradation::TooClose,
+            Degradation::TooFar,
+            Degradation::FlatScene,
+            Degradation::FewInliers,
+            Degradation::SaturatedInfrared,
+            Degradation::DiskLow,
+        ];
+        let losses = [
+            Loss::TooFast,
+            Loss::TooClose,
+            Loss::FlatScene,
+            Loss::CoveredLens,
+            Loss::Elsewhere,
+            Loss::FewInliers,
+            Loss::DeviceStalled,
+        ];
+        let faults = [Fault::DeviceGone, Fault::StorageFailed, Fault::Program];
+        let others = [
+            State::Warming,
+            State::Tracking,
+            State::Relocalising,
+            State::Paused,
+            State::Snapshotting,
+            State::Draining,
+        ];
+        let states: Vec<State> = others
+            .into_iter()
+            .chain(degradations.map(State::Degraded))
+            .chain(losses.map(State::Lost))
+            .chain(faults.map(State::Fault))
+            .collect();
+        let names: BTreeSet<_> = states.iter().map(|s| (s.code(), s.reason())).collect();
+        assert_eq!(names.len(), states.len());
+        let advice: BTreeSet<_> = states.iter().map(|state| state.advice()).collect();
+        assert_eq!(advice.len(), states.len());
+        assert!(advice.iter().all(|sentence| sentence.ends_with('.')));
+    }
+}

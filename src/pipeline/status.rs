@@ -1,7 +1,10 @@
 //! What the pipeline is doing, newest only, and the tokens that stop it.
 
 use super::{accounts::FrameAccounts, state::State};
-use crate::snapshot::SequenceStep;
+use crate::{
+    capture::DeviceHealth,
+    snapshot::{Guidance, SequenceStep},
+};
 use std::sync::{
     Arc, Mutex, PoisonError,
     atomic::{AtomicBool, Ordering},
@@ -62,8 +65,22 @@ pub struct Status {
     pub recording: RecordingStatus,
     /// The live mesh as it was extracted last; `None` as long as nobody looks.
     pub mesh: Option<MeshStatus>,
+    /// Whether a part of the program ended by a fault of its own.
+    pub has_fault: bool,
     /// How the device is doing.
     pub device: DeviceHealth,
+    /// How often it stopped delivering and began again: frames before and after may show different places.
+    pub n_device_gaps: u64,
+}
+
+impl From<Guidance> for SequenceStatus {
+    fn from(guidance: Guidance) -> Self {
+        SequenceStatus {
+            step: guidance.step,
+            speckle: guidance.speckle,
+            speckle_limit: guidance.speckle_limit,
+        }
+    }
 }
 
 /// Shading images so far.
@@ -131,18 +148,6 @@ pub struct MeshStatus {
     pub vertices: usize,
     /// How many faces.
     pub faces: usize,
-}
-
-/// How the device is doing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum DeviceHealth {
-    /// Frames come.
-    #[default]
-    Streaming,
-    /// It is there, and no frames come.
-    Stalled,
-    /// It is not there; it is waited for.
-    Gone,
 }
 
 /// Where the stages leave their status and everybody reads the newest.

@@ -16,15 +16,24 @@ mod params;
 mod rejection;
 
 mod exposures;
+mod guide;
 mod information;
 mod pool;
 mod speckle;
+
+mod coverage;
+mod next_view;
+mod progress;
 
 #[cfg(test)]
 mod bench_tests;
 #[cfg(test)]
 mod scenes;
 
+pub use coverage::Coverage;
+pub use exposures::{SATURATION, saturated_share};
+pub use guide::Guidance;
+pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
 pub use rejection::{RejectReason, Rejection};
 
@@ -103,6 +112,7 @@ impl SequenceStep {
 
 /// Chooses shading images while a scan goes on; the same frames give the same selection.
 pub struct SnapshotSelector {
+    optics: Optics,
     method: Method,
 }
 
@@ -120,7 +130,7 @@ impl SnapshotSelector {
             Sensor::Kinect1 => Method::Sequence(ShadingSequence::new(optics, params)),
             Sensor::Kinect2 => Method::Stream(EmitterStream::new(optics, params)),
         };
-        Some(SnapshotSelector { method })
+        Some(SnapshotSelector { optics, method })
     }
 
     /// Takes in the next frame of the stream.

@@ -94,6 +94,21 @@ impl Workbench {
     }
 }
 
+/// Generous: a busy machine is no fault.
+const GRACE: Duration = Duration::from_secs(30);
+
+/// Looks again and again until there is an answer.
+pub fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + GRACE;
+    loop {
+        if let Some(answer) = look() {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
 /// The program.
 pub const PROGRAM: &str = env!("CARGO_BIN_EXE_relief");
 

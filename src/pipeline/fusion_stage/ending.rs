@@ -4,7 +4,6 @@ use super::{FusedScan, FusionStage, FusionSummary};
 use crate::{
     capture::Tracked,
     fusion::{LoopClosure, PoseCorrection},
-    geometry::motion_between,
     pipeline::{state::State, status::Phase, timing::StageClock},
     snapshot::{SnapshotSelection, SnapshotSelector},
 };
@@ -17,11 +16,12 @@ impl FusionStage {
         let mut meshing_clock = StageClock::new("mesh extraction");
         self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
         self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
+        self.operator.interim.join();
         self.status.update(|status| {
             status.phase = Phase::Meshing;
             status.state = State::Draining;
         });
-        if self.summary.n_fused > 0 {
+        if !self.trajectory.is_empty() {
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
             self.revise(snapshots.as_mut());
             let closure = closing_clock.time(|| {
@@ -39,7 +39,7 @@ impl FusionStage {
             let (fusion, pool) = (&self.fusion, &self.pool);
             let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
             tracing::info!(
-                n_fused = self.summary.n_fused,
+                n_fused = self.trajectory.len(),
                 volume_mib = fusion.memory_bytes() >> 20,
                 vertices = base.vertices.len(),
                 faces = base.faces.len(),
@@ -104,11 +104,7 @@ impl FusionStage {
             snapshot.world_from_camera =
                 correction.apply(snapshot.device_time_secs, &snapshot.world_from_camera);
         }
-        self.summary.path_length_m = self
-            .trajectory
-            .windows(2)
-            .map(|pair| motion_between(&pair[0].1, &pair[1].1).translation_m)
-            .sum();
+        self.measure_path();
         self.send(Tracked::Corrected(self.trajectory.clone()));
     }
 }

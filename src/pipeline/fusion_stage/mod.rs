@@ -1,35 +1,46 @@
 //! The fusion thread: frames in, and at the end of the stream one scan out: base mesh, camera poses, shading images.
 
 mod ending;
+mod interim;
+mod operator;
+mod pulse;
+mod showing;
+mod telling;
+mod tracking;
 
 use super::{
     accounts::Place,
     command::Command,
+    conditions::{Conditions, Observed},
     depth_correction::DepthCorrection,
+    depth_statistics::DepthStatistics,
     edges::{FrameReceiver, TrackedSender},
     given_poses::GivenPoses,
+    live::{Live, surface::SurfaceUpdate},
     losses::Losses,
     state::State,
     status::StatusSlot,
     timing::StageClock,
 };
 use crate::{
-    capture::{Event, EventKind, Tracked},
     export::StageTiming,
-    fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics, TrackingOutcome},
-    geometry::{CameraModel, Pose, TriMesh, motion_between},
-    snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector, TrackedFrame},
+    fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics},
+    geometry::{CameraModel, Pose, TriMesh},
+    snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector},
 };
 use crossbeam::{
     channel::{Receiver, Sender},
     select,
 };
 use depth_camera::{CameraInfo, Frame, Image};
+use operator::Operator;
+use pulse::Pulse;
 use rayon::ThreadPool;
-use std::sync::Arc;
+use showing::Showing;
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
-/// Below this fitness the operator is told that tracking is weak.
-const WEAK_FITNESS: f64 = 0.25;
+/// How often a stage that gets no frames looks around: a device may be silent, somebody may begin to look.
+const LOOK_AROUND: Duration = Duration::from_millis(100);
 
 /// What the fusion thread needs to know.
 pub struct FusionSetup {
@@ -49,6 +60,12 @@ pub struct FusionSetup {
     pub pool: ThreadPool,
     /// Where the status goes.
     pub status: StatusSlot,
+    /// Where those look who look on.
+    pub live: Live,
+    /// What has changed of the surface, to those who sew it together.
+    pub surfaces: Sender<SurfaceUpdate>,
+    /// The run's output folder.
+    pub folder: PathBuf,
 }
 
 /// A scan ready to be refined.
@@ -104,12 +121,14 @@ pub fn run(
                 Ok(frame) => stage.handle(&frame),
                 Err(_) => break,
             },
+            default(LOOK_AROUND) => stage.look_around(),
             recv(commands) -> command => {
                 // The other end lives as long as anybody may ask.
                 let Ok(command) = command else { break };
                 stage.obey(command);
             }
         }
+        stage.check_accounts(&frames);
     }
     let summary = stage.finish();
     if let Some(scan) = &summary.scan {
@@ -136,6 +155,17 @@ struct FusionStage {
     fusion: Fusion,
     correction: DepthCorrection,
     selector: Option<SnapshotSelector>,
+    conditions: Conditions,
+    /// What the frames say of the state, and what the operator was told last.
+    of_frames: State,
+    told: State,
+    operator: Operator,
+    showing: Showing,
+    pulse: Pulse,
+    /// How often the device was away before the last frame.
+    n_device_gaps: u64,
+    /// The working range, metres.
+    range: [f32; 2],
     poses: Option<GivenPoses>,
     /// Whether given poses are polished.
     polish: bool,
@@ -146,8 +176,8 @@ struct FusionStage {
     /// Times (s) and poses of all fused frames.
     trajectory: Vec<(f64, Pose)>,
     last_depth: Option<Image<f32>>,
+    last_frame_id: u64,
     had_depth: bool,
-    is_paused: bool,
     /// Of the frame that was tracked last: see [`Fit::fitness`](crate::fusion::Fit::fitness).
     fitness: Option<f64>,
     correction_clock: StageClock,
@@ -160,6 +190,13 @@ impl FusionStage {
     fn new(setup: FusionSetup, tracked: TrackedSender) -> Self {
         let camera = CameraModel::new(setup.info.intrinsics);
         let noise = DepthNoise::of_sensor(setup.info.sensor);
+        let conditions = Conditions::new(&setup.fusion, &setup.snapshot);
+        let wanted = setup.snapshot.max_snapshots;
+        let selector = SnapshotSelector::new(&setup.info, setup.snapshot);
+        let range = [setup.fusion.depth_min_m, setup.fusion.depth_max_m].map(|z| z as f32);
+        setup.status.update(|status| {
+            status.snapshots.wanted = selector.as_ref().map_or(0, |_| wanted);
+        });
         FusionStage {
             polish: setup.fusion.polish.enabled,
             fusion: setup.pool.install(|| {
@@ -169,7 +206,15 @@ impl FusionStage {
                     None => fusion,
                 }
             }),
-            selector: SnapshotSelector::new(&setup.info, setup.snapshot),
+            selector,
+            conditions,
+            of_frames: State::default(),
+            told: State::default(),
+            operator: Operator::new(setup.info.clone(), setup.folder),
+            showing: Showing::new(setup.live, setup.surfaces, range, setup.info.ir_full_scale),
+            pulse: Pulse::default(),
+            n_device_gaps: 0,
+            range,
             correction: setup.correction,
             poses: setup.poses,
             pool: setup.pool,
@@ -178,8 +223,8 @@ impl FusionStage {
             summary: FusionSummary::default(),
             trajectory: Vec::new(),
             last_depth: None,
+            last_frame_id: 0,
             had_depth: true,
-            is_paused: false,
             fitness: None,
             correction_clock: StageClock::new("multipath"),
             revision_clock: StageClock::new("fusing again with corrected depth"),
@@ -188,47 +233,47 @@ impl FusionStage {
         }
     }
 
-    /// Does what the operator asks.
-    fn obey(&mut self, command: Command) {
-        tracing::info!(?command, "the operator asks");
-        match command {
-            Command::Pause => self.is_paused = true,
-            Command::Resume => {
-                self.is_paused = false;
-                self.fusion.interrupt();
-            }
-            // The device thread ends its stream, and with it this loop.
-            Command::Finish | Command::Abandon => {}
-            Command::Snapshot | Command::Undo { .. } | Command::Refine | Command::Reset => {}
-        }
-        let is_paused = self.is_paused;
-        self.status.update(|status| {
-            status.state = match is_paused {
-                true => State::Paused,
-                false => status.state,
-            };
-        });
-    }
-
     /// One frame: track and fuse it, tell what became of it, and consider it for shading.
     fn handle(&mut self, frame: &Arc<Frame>) {
-        if self.is_paused {
-            return self.publish(Place::Paused);
-        }
-        let frame = &self.corrected(frame);
-        let place = match self.fuse(frame) {
-            Some(outcome) => {
-                let place = self.account(frame, &outcome);
-                self.consider(frame, &outcome);
-                place
-            }
-            None => {
-                self.lost(frame, "no given pose within 20 ms".to_owned());
-                Place::Lost
-            }
+        self.note_gaps();
+        self.last_frame_id = frame.frame_id;
+        let saturated_share = self.saturated_share(frame);
+        let place = match self.operator.is_paused {
+            true => Place::Paused,
+            false => self.use_up(frame, saturated_share),
         };
+        self.publish(frame, place, saturated_share);
+        self.show(Some(frame));
+    }
+
+    fn use_up(&mut self, frame: &Arc<Frame>, saturated_share: Option<f64>) -> Place {
+        let frame = &self.corrected(frame);
+        let outcome = self.fuse(frame);
+        self.of_frames = self.conditions.observe(&Observed {
+            time_secs: frame.device_time_secs,
+            outcome: outcome.as_ref(),
+            depth: DepthStatistics::of(frame.depth.as_ref(), self.range[0], self.range[1]),
+            saturated_share,
+        });
+        let place = self.account(frame, outcome.as_ref());
+        if let Some(outcome) = &outcome {
+            self.consider(frame, outcome);
+        }
         self.note_refusal();
-        self.publish(place);
+        place
+    }
+
+    /// Whether the device was away: then the next frame may show another place.
+    fn note_gaps(&mut self) {
+        let n_gaps = self.status.get().n_device_gaps;
+        if std::mem::replace(&mut self.n_device_gaps, n_gaps) != n_gaps {
+            self.interrupt();
+        }
+    }
+
+    fn interrupt(&mut self) {
+        self.fusion.interrupt();
+        self.conditions.interrupt();
     }
 
     /// The frame without multipath, as far as that is known now.
@@ -239,151 +284,5 @@ impl FusionStage {
             .correction_clock
             .time(|| pool.install(|| correction.correct(frame)));
         corrected.map_or_else(|| frame.clone(), Arc::new)
-    }
-
-    /// Says once that the model takes nothing more.
-    fn note_refusal(&mut self) {
-        if self.summary.refusal.is_some() {
-            return;
-        }
-        self.summary.refusal = self.fusion.refusal();
-        if let Some(refusal) = &self.summary.refusal {
-            tracing::warn!("{refusal}");
-        }
-    }
-
-    /// What became of a frame; `None` where poses are given and none is near.
-    fn fuse(&mut self, frame: &Frame) -> Option<TrackingOutcome> {
-        let Some(depth) = &frame.depth else {
-            return Some(TrackingOutcome::NoDepth);
-        };
-        let time_secs = frame.device_time_secs;
-        let given = match &self.poses {
-            Some(poses) => Some(poses.at(time_secs)?),
-            None => None,
-        };
-        if let (Some(ir), None) = (&frame.ir, &given) {
-            self.fusion.see(ir);
-        }
-        let (fusion, pool, polish) = (&mut self.fusion, &self.pool, self.polish);
-        let outcome = self.fusion_clock.time(|| {
-            pool.install(|| match given {
-                Some(pose) if polish => fusion.fuse_near(depth, time_secs, &pose),
-                Some(pose) => fusion.fuse_at(depth, time_secs, &pose),
-                None => fusion.fuse(depth, time_secs),
-            })
-        });
-        Some(outcome)
-    }
-
-    fn account(&mut self, frame: &Frame, outcome: &TrackingOutcome) -> Place {
-        match outcome {
-            TrackingOutcome::Tracked {
-                world_from_camera,
-                fit,
-            } => {
-                self.found(frame, world_from_camera);
-                self.note_fitness(frame, fit.map(|fit| fit.fitness));
-                Place::Fused
-            }
-            TrackingOutcome::NoDepth => {
-                self.summary.n_without_depth += 1;
-                if std::mem::replace(&mut self.had_depth, false) {
-                    self.tell(frame, EventKind::NoDepth);
-                }
-                Place::WithoutDepth
-            }
-            TrackingOutcome::Lost(reason) => {
-                self.lost(frame, super::losses::sentence(reason));
-                Place::Lost
-            }
-        }
-    }
-
-    fn found(&mut self, frame: &Frame, world_from_camera: &Pose) {
-        self.had_depth = true;
-        self.summary.n_fused += 1;
-        if self.summary.losses.end() {
-            tracing::info!(frame_id = frame.frame_id, "tracking found back");
-            self.tell(frame, EventKind::Found);
-        }
-        if let Some((_, previous)) = self.trajectory.last() {
-            self.summary.path_length_m += motion_between(previous, world_from_camera).translation_m;
-        }
-        self.trajectory
-            .push((frame.device_time_secs, *world_from_camera));
-        self.send(Tracked::Pose(frame.device_time_secs, *world_from_camera));
-        self.last_depth.clone_from(&frame.depth);
-    }
-
-    /// Tells when the camera is about to be lost, once each time.
-    fn note_fitness(&mut self, frame: &Frame, fitness: Option<f64>) {
-        let is_weak = |fitness: Option<f64>| fitness.is_some_and(|fitness| fitness < WEAK_FITNESS);
-        let was_weak = is_weak(std::mem::replace(&mut self.fitness, fitness));
-        if let Some(fitness) = fitness
-            && is_weak(self.fitness)
-            && !was_weak
-        {
-            self.tell(frame, EventKind::Weak { fitness });
-        }
-    }
-
-    fn lost(&mut self, frame: &Frame, reason: String) {
-        self.had_depth = true;
-        self.fitness = Some(0.0);
-        self.summary.n_lost += 1;
-        let time_secs = frame.device_time_secs;
-        let is_new = self
-            .summary
-            .losses
-            .extend(frame.frame_id, time_secs, &reason);
-        if is_new {
-            tracing::warn!(frame_id = frame.frame_id, reason, "tracking lost");
-            self.tell(frame, EventKind::Lost { reason });
-        }
-    }
-
-    /// Shows a frame to the selector of shading images.
-    fn consider(&mut self, frame: &Arc<Frame>, outcome: &TrackingOutcome) {
-        let Some(selector) = &mut self.selector else {
-            return;
-        };
-        let tracked = TrackedFrame {
-            frame,
-            outcome,
-            model: self.fusion.model(),
-        };
-        let n_before = selector.n_accepted();
-        let pool = &self.pool;
-        self.selection_clock
-            .time(|| pool.install(|| selector.observe(&tracked)));
-        let n_snapshots = selector.n_accepted();
-        if n_snapshots > n_before {
-            self.tell(frame, EventKind::Snapshot { n_snapshots });
-        }
-    }
-
-    fn publish(&self, place: Place) {
-        let n_snapshots = self
-            .selector
-            .as_ref()
-            .map_or(0, SnapshotSelector::n_accepted);
-        self.status.update(|status| {
-            status.frames.arrived(place);
-            status.fitness = self.fitness;
-            status.snapshots.accepted = n_snapshots;
-        });
-    }
-
-    fn tell(&self, frame: &Frame, kind: EventKind) {
-        self.send(Tracked::Event(Event {
-            frame_id: frame.frame_id,
-            device_time_secs: Some(frame.device_time_secs),
-            kind,
-        }));
-    }
-
-    fn send(&self, tracked: Tracked) {
-        self.tracked.send(tracked);
     }
 }

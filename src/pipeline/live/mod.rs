@@ -5,8 +5,13 @@
 
 mod slot;
 
+pub(super) mod next_view;
+pub(super) mod preview;
+pub(super) mod snapshot_list;
+pub(super) mod surface;
+
 use crate::geometry::Pose;
-use slot::Slot;
+pub(super) use slot::Slot;
 use std::{path::PathBuf, sync::Arc};
 
 /// An image of 8 bits a pixel, for the eye.
@@ -66,7 +71,7 @@ pub struct NextView {
 /// An infrared image that is, or is not, a shading image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiveSnapshot {
-    /// Counts up; the name under which its picture is asked for.
+    /// The name under which its picture is asked for: the frame's number.
     pub index: u64,
     /// The frame.
     pub frame_id: u64,

@@ -35,6 +35,12 @@ impl<T> Clone for Slot<T> {
     }
 }
 
+impl<T> Inner<T> {
+    fn is_watched(&self) -> bool {
+        self.last_read.is_some_and(|read| read.elapsed() < LOOKING)
+    }
+}
+
 impl<T> Slot<T> {
     /// The newest value; says that somebody looks.
     pub fn read(&self) -> Option<Arc<T>> {
@@ -44,11 +50,15 @@ impl<T> Slot<T> {
         })
     }
 
+    /// Whether somebody looks.
+    pub fn is_watched(&self) -> bool {
+        self.with(|inner| inner.is_watched())
+    }
+
     /// Whether somebody looks, and the value there is older than `min_age`.
     pub fn is_due(&self, min_age: Duration) -> bool {
         self.with(|inner| {
-            let is_read = inner.last_read.is_some_and(|read| read.elapsed() < LOOKING);
-            is_read && inner.last_written.is_none_or(|at| at.elapsed() >= min_age)
+            inner.is_watched() && inner.last_written.is_none_or(|at| at.elapsed() >= min_age)
         })
     }
 
