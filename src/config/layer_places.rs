@@ -24,7 +24,8 @@ enum Source {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LayerPlaces {
     sources: Vec<Source>,
-    environment: Vec<(String, String)>,
+    /// Variables and their values, by name.
+    pub(super) environment: Vec<(String, String)>,
 }
 
 impl LayerPlaces {
