@@ -62,6 +62,12 @@ fn child_of(scan: &Path) -> Option<PathBuf> {
     })
 }
 
+fn niceness(process: &Path) -> i32 {
+    let stat = fs::read_to_string(process.join("stat")).unwrap();
+    let after_name = stat.rsplit_once(") ").unwrap().1;
+    after_name.split(' ').nth(16).unwrap().parse().unwrap()
+}
+
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -88,9 +94,8 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
     let child = child_of(&scan).expect("the child runs");
 
     // Priority and limits, as the child has imposed them on itself.
-    let stat = fs::read_to_string(child.join("stat")).unwrap();
-    let after_name = stat.rsplit_once(") ").unwrap().1;
-    assert_eq!(after_name.split(' ').nth(16), Some("10"), "{stat}");
+    let own = niceness(Path::new("/proc/self"));
+    assert_eq!(niceness(&child), (own + 10).min(19));
     let limits = fs::read_to_string(child.join("limits")).unwrap();
     for (name, value) in [
         ("Max address space", "8589934592"),
