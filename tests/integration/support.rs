@@ -95,7 +95,7 @@ impl Workbench {
 }
 
 /// Generous: a busy machine is no fault.
-const GRACE: Duration = Duration::from_secs(30);
+const GRACE: Duration = Duration::from_secs(120);
 
 /// Looks again and again until there is an answer.
 pub fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
