@@ -3,16 +3,24 @@
 
 pub mod bench;
 pub mod calibrate;
+pub mod config;
 pub mod evaluate;
+pub mod logging;
+pub mod package;
 pub mod run;
 pub mod summary;
 
 use anyhow::{Context, anyhow, bail, ensure};
 use calibrate::CalibrateCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use config::ConfigCommand;
 use depth_camera::Sensor;
+use logging::LogFormat;
+use package::{CompletionsArgs, ManArgs};
 use relief::{
     config::Overrides,
+    control::ProgressStyle,
+    jobs::Limits,
     refine::{Crop, Roi},
 };
 use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
@@ -26,6 +34,9 @@ use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
                   Logs go to standard error; RUST_LOG sets their level."
 )]
 pub struct Cli {
+    /// How log lines are written
+    #[arg(long, value_enum, global = true, default_value_t)]
+    pub log_format: LogFormat,
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
@@ -49,18 +60,37 @@ pub enum Command {
     /// Measure what the program has to know of a device
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+    /// Show and check the configuration
+    #[command(subcommand)]
+    Config(ConfigCommand),
+    /// Print the completions of a shell
+    Completions(CompletionsArgs),
+    /// Write the man pages
+    Man(ManArgs),
 }
 
 impl Command {
+    /// How progress is shown.
+    pub fn progress_style(&self) -> ProgressStyle {
+        match self {
+            Command::Refine(args) if args.progress_json => ProgressStyle::JsonLines,
+            _ if self.prints_json() => ProgressStyle::Silent,
+            _ => ProgressStyle::of_stderr(),
+        }
+    }
+
     /// Whether standard output is for one JSON object.
     pub fn prints_json(&self) -> bool {
         match self {
             Command::Replay(args) => args.json,
-            Command::Refine(args) => args.json,
+            Command::Refine(args) => args.json || args.progress_json,
             Command::Bench(args) => args.json,
             Command::Evaluate(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
-            Command::Simulate(_) | Command::Demo(_) => false,
+            Command::Config(command) => command.prints_json(),
+            Command::Simulate(_) | Command::Demo(_) | Command::Completions(_) | Command::Man(_) => {
+                false
+            }
         }
     }
 }
@@ -185,6 +215,44 @@ pub struct RefineArgs {
     /// Print one JSON object on standard output, and no progress
     #[arg(long)]
     pub json: bool,
+    /// Print progress on standard output, a JSON object a line, then the object of --json
+    #[arg(long)]
+    pub progress_json: bool,
+    /// Of the daemon's worker
+    #[command(flatten)]
+    pub child: ChildArgs,
+}
+
+/// What the daemon's worker asks of its child.
+#[derive(Debug, Args)]
+pub struct ChildArgs {
+    /// Folder that the outputs will be moved into, as the report is to name it
+    #[arg(long, value_name = "DIR", hide = true)]
+    pub deliver_to: Option<PathBuf>,
+    /// Niceness to add
+    #[arg(long, value_name = "N", hide = true, value_parser = clap::value_parser!(i32).range(0..=19))]
+    pub nice: Option<i32>,
+    /// Address space, MiB
+    #[arg(long, value_name = "MIB", hide = true)]
+    pub max_memory_mb: Option<u64>,
+    /// Processor time, seconds
+    #[arg(long, value_name = "SECS", hide = true)]
+    pub max_cpu_secs: Option<u64>,
+    /// Process that this one must not outlive
+    #[arg(long, value_name = "PID", hide = true)]
+    pub parent: Option<u32>,
+}
+
+impl ChildArgs {
+    /// What the process imposes on itself.
+    pub fn limits(&self) -> Limits {
+        Limits {
+            nice: self.nice,
+            max_memory_mb: self.max_memory_mb,
+            max_cpu_secs: self.max_cpu_secs,
+            parent: self.parent,
+        }
+    }
 }
 
 /// `relief simulate`.

@@ -1,8 +1,13 @@
 //! The configuration: what every stage needs to know, gathered in layers.
 //!
-//! Defaults stand in the stages' own `Params`; a file given by `--config` overrides them, and the command line overrides
-//! both ([`Overrides`]). Every layer is checked as it is laid on, so that an error names the file or the flag, the key, its
-//! value and the bound. Stages never see [`Config`].
+//! Defaults stand in the stages' own `Params`; files of the system, of the administrator and of the user, a file given by
+//! `--config`, environment variables and the command line ([`Overrides`]) are laid on them in this order ([`LayerPlaces`]).
+//! Every layer is checked as it is laid on, so that an error names file and line, variable or flag, the key, its value and
+//! the bound, and of every key is known who set it ([`LayeredConfig`]). Stages never see [`Config`].
+
+mod layer;
+mod layers;
+mod origin;
 
 mod calibration;
 mod calibration_file;
@@ -13,22 +18,25 @@ pub use calibration::{CalibrationPlaces, CalibrationSource, FoundCalibration, fi
 pub use calibration_file::{DeviceCalibration, MeasuredLight};
 pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
+pub use layers::{LayerPlaces, LayeredConfig};
+pub use origin::Origin;
 
 use crate::{
     capture::CaptureParams,
     fusion::FusionParams,
+    jobs::WorkerParams,
     multipath::MultipathParams,
     refine::{Crop, ObjectParams, RefineParams},
     snapshot::SnapshotParams,
 };
 use serde::{Deserialize, Serialize};
-use std::{fs, path::Path};
+use std::path::Path;
 
 /// A configuration that makes no sense: the text names its origin, the key, the value and the bound.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{origin}: {what}")]
 pub struct ConfigError {
-    /// A file, or the command line.
+    /// A file, with its line where there is one, an environment variable, or the command line.
     pub origin: String,
     /// What is wrong.
     pub what: String,
@@ -59,6 +67,8 @@ pub struct Config {
     pub object: ObjectParams,
     /// Refinement.
     pub refine: RefineParams,
+    /// The daemon's refinement worker.
+    pub worker: WorkerParams,
 }
 
 /// What the command line says; `None` leaves the value of the layers below.
@@ -79,47 +89,16 @@ pub struct Overrides {
 }
 
 impl Config {
-    /// Lays the layers one on the other: defaults, the file if there is one, the command line.
+    /// The layers of this machine, with the file that is given: [`LayerPlaces::of_machine`].
     ///
     /// # Errors
-    /// For a file that cannot be read or parsed, and for a value beyond its bound in either layer.
-    pub fn layered(file: Option<&Path>, overrides: &Overrides) -> Result<Self, ConfigError> {
-        let mut config = match file {
-            Some(path) => Config::read(path)?,
-            None => Config::default(),
-        };
-        config.apply(overrides);
-        config.validate().map_err(|what| ConfigError {
-            origin: "command line".to_owned(),
-            what,
-        })?;
-        Ok(config)
-    }
-
-    /// Reads and checks a file; keys that it does not name keep their defaults.
-    ///
-    /// # Errors
-    /// For a file that cannot be read or parsed, naming the line, and for a value beyond its bound.
-    pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = fs::read_to_string(path).map_err(|error| ConfigError::in_file(path, error))?;
-        let config: Config =
-            toml::from_str(&text).map_err(|error| ConfigError::in_file(path, error))?;
-        config
-            .validate()
-            .map_err(|what| ConfigError::in_file(path, what))?;
-        Ok(config)
-    }
-
-    fn apply(&mut self, overrides: &Overrides) {
-        let fusion = &mut self.fusion;
-        fusion.voxel_size_m = overrides.voxel_size_m.unwrap_or(fusion.voxel_size_m);
-        fusion.depth_max_m = overrides.depth_max_m.unwrap_or(fusion.depth_max_m);
-        fusion.polish.enabled = overrides.polish_poses.unwrap_or(fusion.polish.enabled);
-        let object = &mut self.object;
-        object.crop = overrides.crop.unwrap_or(object.crop);
-        object.watertight = overrides.watertight.unwrap_or(object.watertight);
-        let snapshot = &mut self.snapshot;
-        snapshot.max_snapshots = overrides.max_snapshots.unwrap_or(snapshot.max_snapshots);
+    /// As [`LayeredConfig::read`].
+    pub fn layered(given: Option<&Path>, overrides: &Overrides) -> Result<Self, ConfigError> {
+        let layered = LayeredConfig::read(&LayerPlaces::of_machine(given), overrides)?;
+        for path in &layered.files {
+            tracing::debug!(path = %path.display(), "configuration read");
+        }
+        Ok(layered.config)
     }
 
     /// Checks every value against its bound.
@@ -131,7 +110,8 @@ impl Config {
         self.fusion.validate()?;
         self.snapshot.validate()?;
         self.object.validate()?;
-        self.refine.validate()
+        self.refine.validate()?;
+        self.worker.validate()
     }
 }
 
@@ -142,22 +122,12 @@ mod tests {
 
     const SHIPPED: &str = include_str!("../config/relief.toml");
 
-    /// Every key of a table, with the names of the tables around it.
-    fn keys(table: &toml::Table, prefix: &str, found: &mut BTreeSet<String>) {
-        for (key, value) in table {
-            let name = format!("{prefix}{key}");
-            match value {
-                toml::Value::Table(inner) => keys(inner, &format!("{name}."), found),
-                _ => {
-                    found.insert(name);
-                }
-            }
-        }
-    }
-
     fn keys_of(text: &str) -> BTreeSet<String> {
         let mut found = BTreeSet::new();
-        keys(&toml::from_str(text).unwrap(), "", &mut found);
+        let table = toml::from_str(text).unwrap();
+        layer::leaves(&table, "", &mut |key, _| {
+            found.insert(key);
+        });
         found
     }
 
@@ -167,37 +137,5 @@ mod tests {
         assert_eq!(shipped, Config::default());
         let every_key = toml::to_string(&Config::default()).unwrap();
         assert_eq!(keys_of(SHIPPED), keys_of(&every_key));
-    }
-
-    #[test]
-    fn flags_override_the_file_and_errors_name_their_origin() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mine.toml");
-        fs::write(&path, "[fusion]\nvoxel_size_m = 0.004\n").unwrap();
-        let overrides = Overrides {
-            depth_max_m: Some(3.0),
-            ..Overrides::default()
-        };
-        let config = Config::layered(Some(&path), &overrides).unwrap();
-        assert_eq!(
-            (config.fusion.voxel_size_m, config.fusion.depth_max_m),
-            (0.004, 3.0)
-        );
-
-        let bad_flag = Overrides {
-            voxel_size_m: Some(0.0),
-            ..Overrides::default()
-        };
-        let error = Config::layered(Some(&path), &bad_flag).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "command line: fusion.voxel_size_m is 0, must be 0.0005 to 0.1"
-        );
-
-        fs::write(&path, "[fusion]\nvoxel_size = 0.004\n").unwrap();
-        let error = Config::read(&path).unwrap_err().to_string();
-        assert!(error.starts_with(&path.display().to_string()), "{error}");
-        assert!(error.contains("line 2"), "{error}");
-        assert!(error.contains("voxel_size"), "{error}");
     }
 }

@@ -14,6 +14,7 @@ pub mod export;
 pub mod fusion;
 pub mod geometry;
 pub mod interreflection;
+pub mod jobs;
 pub mod multipath;
 pub mod pipeline;
 pub mod refine;

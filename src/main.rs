@@ -5,25 +5,20 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command, bench, calibrate, evaluate,
+    Cli, Command, bench, calibrate, config, evaluate,
+    logging::log_to_stderr,
+    package,
     run::{self, Verdict},
     summary,
 };
-use relief::control::{Progress, ProgressStyle};
-use std::{
-    io::{self, IsTerminal},
-    process::ExitCode,
-};
-use tracing_subscriber::{EnvFilter, fmt};
+use relief::control::Progress;
+use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let prints_json = cli.command.prints_json();
-    let progress = Progress::new(match prints_json {
-        true => ProgressStyle::Silent,
-        false => ProgressStyle::of_stderr(),
-    });
-    log_to_stderr(&progress);
+    let progress = Progress::new(cli.command.progress_style());
+    log_to_stderr(cli.log_format, &progress);
 
     let ran = match &cli.command {
         Command::Replay(args) => run::replay(args, &progress),
@@ -33,6 +28,9 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::bench(args),
         Command::Evaluate(args) => evaluate::evaluate(args),
         Command::Calibrate(command) => calibrate::calibrate(command),
+        Command::Config(command) => config::config(command),
+        Command::Completions(args) => package::completions(args),
+        Command::Man(args) => package::man(args),
     };
     let verdict = ran.unwrap_or_else(|error| {
         if prints_json {
@@ -42,16 +40,4 @@ fn main() -> ExitCode {
         Verdict::of_error(&error)
     });
     verdict.into()
-}
-
-/// Sends log lines to standard error, at `info` unless `RUST_LOG` says otherwise.
-fn log_to_stderr(progress: &Progress) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    fmt()
-        .with_env_filter(filter)
-        .with_target(false)
-        .without_time()
-        .with_ansi(io::stderr().is_terminal())
-        .with_writer(progress.log_writer())
-        .init();
 }

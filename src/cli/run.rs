@@ -105,7 +105,7 @@ impl FoundScan {
         let places = CalibrationPlaces {
             given: args.calibration.as_deref(),
             folder: &folder,
-            session: None,
+            session: Some(&args.output),
         };
         let found = config::find_calibration(&recorded.info, &places)?;
         Ok(FoundScan {
@@ -118,6 +118,10 @@ impl FoundScan {
 
 /// `relief refine`.
 pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict> {
+    let limits = args.child.limits();
+    limits
+        .impose()
+        .with_context(|| format!("cannot impose {limits:?} on this process"))?;
     let FoundScan {
         config,
         recorded,
@@ -141,11 +145,15 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         record: false,
     };
     let folder = OutputFolder::claim(&args.out)?;
+    let folder = match &args.child.deliver_to {
+        Some(place) => folder.named(place),
+        None => folder,
+    };
     let outcome = control::operate(
         || Pipeline::spawn_refinement(recorded, params, folder),
         progress,
     )?;
-    say(&outcome, args.json)
+    say(&outcome, args.json || args.progress_json)
 }
 
 fn pipeline_params(

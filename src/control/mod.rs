@@ -5,6 +5,7 @@
 //! threads never wait for them.
 
 mod progress;
+mod progress_lines;
 mod signals;
 
 pub use progress::{Progress, ProgressStyle};

@@ -1,5 +1,6 @@
 //! How far a run is: a bar on a terminal, a line now and then elsewhere, or nothing.
 
+use super::progress_lines::ProgressLines;
 use crate::pipeline::{Phase, State, Status};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::{
@@ -15,6 +16,8 @@ pub enum ProgressStyle {
     Bar,
     /// A line every two seconds, and when the phase changes.
     Lines,
+    /// How far refinement is, a JSON object a line on standard output, for the program that waits for it.
+    JsonLines,
     /// Nothing.
     Silent,
 }
@@ -32,12 +35,13 @@ impl ProgressStyle {
 /// Lines are this far apart at least.
 const BETWEEN_LINES: Duration = Duration::from_secs(2);
 
-/// Shows how far a run is, on standard error.
+/// Shows how far a run is, on standard error, or on standard output for [`ProgressStyle::JsonLines`].
 #[derive(Debug)]
 pub struct Progress {
     style: ProgressStyle,
     bar: ProgressBar,
     last: Mutex<Option<(Instant, String)>>,
+    json_lines: ProgressLines,
 }
 
 impl Progress {
@@ -45,12 +49,15 @@ impl Progress {
     pub fn new(style: ProgressStyle) -> Self {
         let bar = match style {
             ProgressStyle::Bar => ProgressBar::no_length(),
-            ProgressStyle::Lines | ProgressStyle::Silent => ProgressBar::hidden(),
+            ProgressStyle::Lines | ProgressStyle::JsonLines | ProgressStyle::Silent => {
+                ProgressBar::hidden()
+            }
         };
         Progress {
             style,
             bar,
             last: Mutex::default(),
+            json_lines: ProgressLines::default(),
         }
     }
 
@@ -59,6 +66,7 @@ impl Progress {
         match self.style {
             ProgressStyle::Bar => self.draw(status),
             ProgressStyle::Lines => self.print(status),
+            ProgressStyle::JsonLines => self.json_lines.show(status),
             ProgressStyle::Silent => {}
         }
     }

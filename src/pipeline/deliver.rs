@@ -1,37 +1,46 @@
 //! The outputs of a run: what is written where, and what could not be.
 
-use super::snapshot_meta::SnapshotMeta;
+use super::{output_folder::OutputFolder, snapshot_meta::SnapshotMeta};
 use crate::{
     capture::RecorderSummary,
     export::{
-        ExportError, Report, ReportPictures, SnapshotRecord, write_glb, write_ply,
-        write_report_html, write_report_json, write_snapshots, write_trajectory,
+        ExportError, Report, ReportPictures, SnapshotRecord, write_atomically, write_glb,
+        write_ply, write_report_html, write_report_json, write_snapshots, write_trajectory,
     },
     geometry::{Pose, TriMesh},
     refine::Refinement,
+    shading::Calibration,
     snapshot::ShadingSnapshot,
 };
 use depth_camera::{CameraInfo, Image};
 use std::{
+    io::Write,
     path::{Path, PathBuf},
     sync::{Mutex, PoisonError},
 };
 
 /// The base mesh's file.
 pub const BASE_PLY: &str = "base.ply";
-/// The refined mesh's files.
+/// The refined mesh, with albedo, for tools of measurement.
 pub const REFINED_PLY: &str = "refined.ply";
-const REFINED_GLB: &str = "refined.glb";
+/// The refined mesh, for viewers.
+pub const REFINED_GLB: &str = "refined.glb";
 /// The poses of all fused frames.
 pub const TRAJECTORY: &str = "trajectory.txt";
 const SNAPSHOTS: &str = "snapshots";
-const REPORT_HTML: &str = "report.html";
-const REPORT_JSON: &str = "report.json";
+/// The calibration that the scan was made with.
+pub const CALIBRATION: &str = Calibration::FILE_NAME;
+/// The report as a page.
+pub const REPORT_HTML: &str = "report.html";
+/// The report for programs.
+pub const REPORT_JSON: &str = "report.json";
 
 /// Writes outputs into one folder and keeps account of them. A file that cannot be written costs the others nothing.
 #[derive(Debug)]
 pub struct Outbox {
     folder: PathBuf,
+    /// The folder as the account names it.
+    name: PathBuf,
     account: Mutex<Account>,
 }
 
@@ -45,10 +54,11 @@ pub struct Account {
 }
 
 impl Outbox {
-    /// An outbox into a folder that exists.
-    pub fn new(folder: &Path) -> Self {
+    /// An outbox into a folder.
+    pub fn new(folder: &OutputFolder) -> Self {
         Outbox {
-            folder: folder.to_owned(),
+            folder: folder.path().to_owned(),
+            name: folder.name().to_owned(),
             account: Mutex::default(),
         }
     }
@@ -58,9 +68,14 @@ impl Outbox {
         self.with_account(|account| account.clone())
     }
 
-    /// Where an output of that name lies.
-    pub fn path(&self, name: &str) -> PathBuf {
-        self.folder.join(name)
+    /// Writes the calibration, with which the scan can be refined again.
+    pub fn calibration(&self, calibration: &Calibration) {
+        match calibration.to_toml() {
+            Ok(text) => self.write(CALIBRATION, |path| {
+                write_atomically(path, |file| file.write_all(text.as_bytes()))
+            }),
+            Err(what) => self.fail(format!("the calibration cannot be written: {what}")),
+        }
     }
 
     /// Writes the base mesh.
@@ -127,7 +142,8 @@ impl Outbox {
 
     /// Writes the report in both formats, last of all; it lists itself among the outputs.
     pub fn report(&self, report: &mut Report, pictures: &ReportPictures) {
-        let listed = [REPORT_HTML, REPORT_JSON].map(|name| self.path(name).display().to_string());
+        let listed =
+            [REPORT_HTML, REPORT_JSON].map(|name| self.name.join(name).display().to_string());
         report.outputs.extend(listed);
         self.write(REPORT_HTML, |path| {
             write_report_html(path, report, pictures)
@@ -142,13 +158,14 @@ impl Outbox {
     }
 
     fn write(&self, name: &str, write: impl FnOnce(&Path) -> Result<(), ExportError>) {
-        let path = self.path(name);
+        let path = self.folder.join(name);
         match write(&path) {
             Ok(()) => {
                 tracing::debug!(path = %path.display(), "written");
+                let listed = self.name.join(name);
                 self.with_account(|account| {
-                    if !account.outputs.contains(&path) {
-                        account.outputs.push(path);
+                    if !account.outputs.contains(&listed) {
+                        account.outputs.push(listed);
                     }
                 });
             }

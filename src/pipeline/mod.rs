@@ -48,6 +48,9 @@ pub use crate::{
 };
 pub use accounts::FrameAccounts;
 pub use command::{Command, CommandRefused};
+pub use deliver::{
+    BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
+};
 pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;
 pub use event_log::EventLog;
@@ -157,7 +160,10 @@ impl Pipeline {
             ..watch(camera.info())
         };
         let drops = Arc::new(DropCounts::default());
-        let outbox = Arc::new(Outbox::new(folder.path()));
+        let outbox = Arc::new(Outbox::new(&folder));
+        if camera.info().ir_full_scale.is_some() {
+            outbox.calibration(&params.calibration);
+        }
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
         let (surfaces_in, surfaces_out) = edges::surfaces();
@@ -226,7 +232,7 @@ impl Pipeline {
             .status
             .update(|status| (status.frames.produced, status.frames.fused) = (n_fused, n_fused));
         let refine = refine_setup(&params, &info, &watch)?;
-        let outbox = Arc::new(Outbox::new(folder.path()));
+        let outbox = Arc::new(Outbox::new(&folder));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
         let status = &watch.status;
@@ -258,7 +264,7 @@ fn subject(params: &PipelineParams, info: &CameraInfo, folder: &OutputFolder) ->
         info: info.clone(),
         calibration: params.calibration_source.clone(),
         warnings: params.warnings.clone(),
-        folder: folder.path().to_owned(),
+        folder: folder.name().to_owned(),
     }
 }
 

@@ -37,6 +37,7 @@ pub enum OutputFolderError {
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
+    named: PathBuf,
 }
 
 impl OutputFolder {
@@ -54,6 +55,7 @@ impl OutputFolder {
         // From here on the lock is ours, and goes again if the folder cannot be used.
         let folder = OutputFolder {
             path: path.to_owned(),
+            named: path.to_owned(),
         };
         for entry in fs::read_dir(path).map_err(io_error)? {
             if entry.map_err(io_error)?.file_name() != LOCK_NAME {
@@ -63,9 +65,21 @@ impl OutputFolder {
         Ok(folder)
     }
 
+    /// The same folder, whose outputs somebody will move into another: they are told of as lying there.
+    pub fn named(self, folder: &Path) -> Self {
+        let mut named = self;
+        named.named = folder.to_owned();
+        named
+    }
+
     /// The folder.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The folder as the report names it.
+    pub fn name(&self) -> &Path {
+        &self.named
     }
 }
 

@@ -18,6 +18,9 @@ use depth_camera::CameraInfo;
 use rayon::ThreadPool;
 use std::{collections::BTreeMap, sync::Arc};
 
+/// Why a run that was not asked to refine has no refined mesh; its shading images are kept for one that is.
+const SWITCHED_OFF: &str = "refinement was switched off";
+
 /// What the refinement thread needs to know.
 pub struct RefineSetup {
     /// The camera.
@@ -82,6 +85,9 @@ pub fn run(
     summary.base_mesh = Some(export_clock.time(|| deliver_base(setup, base, outbox)));
     let refined = shading_images(setup, &scan).and_then(|snapshots| {
         export_clock.time(|| outbox.snapshots(snapshots, None, &setup.info));
+        if setup.refine.is_none() {
+            return Err(SWITCHED_OFF.to_owned());
+        }
         if setup.stop.is_stopped() {
             return Err("the run was stopped before refinement began".to_owned());
         }
@@ -136,9 +142,6 @@ fn shading_images<'a>(
     setup: &RefineSetup,
     scan: &'a FusedScan,
 ) -> Result<&'a [ShadingSnapshot], String> {
-    if setup.refine.is_none() {
-        return Err("refinement was switched off".to_owned());
-    }
     if setup.info.ir_full_scale.is_none() || setup.info.light.is_none() {
         return Err("the session has no infrared images".to_owned());
     }
@@ -229,7 +232,7 @@ fn run_refine(
     let (Some(params), Some(full_scale), Some(light)) =
         (&setup.refine, setup.info.ir_full_scale, setup.info.light)
     else {
-        return Err("refinement was switched off".to_owned());
+        return Err(SWITCHED_OFF.to_owned());
     };
     let rays = RayGrid::new(CameraModel::new(setup.info.intrinsics));
     let optics = Optics {

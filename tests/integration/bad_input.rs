@@ -152,12 +152,15 @@ fn configuration_and_calibration_are_checked_before_anything_is_made() {
         (
             "--config",
             "[fusion]\nvoxel_size_m = -1.0\n".to_owned(),
-            ["bad.toml: ", "fusion.voxel_size_m is -1, must be 0.0005 to"],
+            [
+                "bad.toml:2: ",
+                "fusion.voxel_size_m is -1, must be 0.0005 to",
+            ],
         ),
         (
             "--config",
             "[refine]\nn_roundz = 1\n".to_owned(),
-            ["bad.toml: TOML parse error at line 2", "n_roundz"],
+            ["bad.toml:2: refine.n_roundz: ", "unknown field `n_roundz`"],
         ),
         (
             "--calibration",

@@ -27,6 +27,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("evaluate", &["geometry", "shading"]),
+    ("jobs", &["atomic_file", "pipeline"]),
     (
         "config",
         &[
@@ -37,6 +38,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "refine",
             "shading",
             "atomic_file",
+            "jobs",
         ],
     ),
     (
@@ -53,7 +55,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "export",
         ],
     ),
-    ("control", &["pipeline"]),
+    ("control", &["pipeline", "jobs"]),
 ];
 
 /// Files of the program, which puts everything together.

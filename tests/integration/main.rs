@@ -10,6 +10,8 @@ mod bench;
 mod calibrate;
 mod delivery;
 mod live;
+mod service;
 mod signals;
+mod worker;
 
 mod support;

@@ -127,3 +127,18 @@ pub fn assert_says(output: &Output, code: i32, pieces: &[&str]) {
         assert!(said.contains(piece), "no \"{piece}\" in: {said}");
     }
 }
+
+/// Generous: a busy machine is no fault.
+const GRACE: Duration = Duration::from_secs(60);
+
+/// Looks again and again until there is an answer.
+pub fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + GRACE;
+    loop {
+        if let Some(answer) = look() {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
+        thread::sleep(Duration::from_millis(10));
+    }
+}

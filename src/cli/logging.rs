@@ -1,0 +1,87 @@
+//! Log lines on standard error, for a terminal, the journal or a program.
+
+use clap::ValueEnum;
+use relief::control::Progress;
+use std::{
+    env, fmt, fs,
+    io::{self, IsTerminal},
+    os::unix::fs::MetadataExt,
+};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::{
+    EnvFilter,
+    fmt::{FmtContext, FormatEvent, FormatFields, format},
+    registry::LookupSpan,
+};
+
+/// How log lines are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// Lines for people
+    #[default]
+    Text,
+    /// A JSON object a line
+    Json,
+}
+
+/// Sends log lines to standard error, at `info` unless `RUST_LOG` says otherwise. The journal stamps them with the time and is
+/// told their priority.
+pub fn log_to_stderr(log_format: LogFormat, progress: &Progress) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let is_journal = is_journal();
+    let lines = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_target(false)
+        .with_ansi(io::stderr().is_terminal() && log_format == LogFormat::Text)
+        .with_writer(progress.log_writer());
+    match (log_format, is_journal) {
+        (LogFormat::Text, false) => lines.without_time().init(),
+        (LogFormat::Text, true) => lines
+            .event_format(ForJournal(
+                format().without_time().with_target(false).with_level(false),
+            ))
+            .init(),
+        (LogFormat::Json, false) => lines.json().init(),
+        (LogFormat::Json, true) => lines.json().without_time().init(),
+    }
+}
+
+/// Whether standard error is the journal's, and not a file or pipe that somebody has put in its place.
+fn is_journal() -> bool {
+    let stream = env::var("JOURNAL_STREAM");
+    let stderr = fs::metadata("/proc/self/fd/2");
+    match (stream, stderr) {
+        (Ok(stream), Ok(stderr)) => stream == format!("{}:{}", stderr.dev(), stderr.ino()),
+        _ => false,
+    }
+}
+
+/// Lines with their priority before them, as `sd-daemon(3)` has it.
+struct ForJournal<F>(F);
+
+impl<S, N, F> FormatEvent<S, N> for ForJournal<F>
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+    F: FormatEvent<S, N>,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: format::Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        write!(writer, "<{}>", priority(*event.metadata().level()))?;
+        self.0.format_event(context, writer, event)
+    }
+}
+
+/// The priority of `syslog(3)`.
+fn priority(level: Level) -> u8 {
+    match level {
+        Level::ERROR => 3,
+        Level::WARN => 4,
+        Level::INFO => 6,
+        Level::DEBUG | Level::TRACE => 7,
+    }
+}

@@ -1,0 +1,204 @@
+//! One layer of the configuration: some keys with their values, each with its origin.
+
+use super::{Config, ConfigError, Origin, Overrides};
+use crate::refine::Crop;
+use serde::Deserialize;
+use std::{collections::BTreeMap, ops::Range, path::Path};
+use toml::{
+    Table, Value,
+    de::{DeTable, DeValue},
+};
+
+/// Environment variables that set a key begin so, and have [`SEPARATOR`] between the tables' names.
+const PREFIX: &str = "RELIEF_";
+const SEPARATOR: &str = "__";
+
+/// One layer.
+#[derive(Clone, Debug, Default)]
+pub struct Layer {
+    /// The keys with their values, in their tables.
+    pub table: Table,
+    /// The origin of each key, by its name with the tables' names before it: `fusion.icp.iterations`.
+    pub origins: BTreeMap<String, Origin>,
+}
+
+impl Layer {
+    /// What the stages themselves say.
+    ///
+    /// # Errors
+    /// Never for the parameters that there are: each can be written as TOML.
+    pub fn defaults() -> Result<Self, ConfigError> {
+        let written = Table::try_from(Config::default());
+        let table = written.map_err(|error| ConfigError {
+            origin: Origin::Default.to_string(),
+            what: error.to_string(),
+        })?;
+        Ok(Layer::of_one_origin(table, &Origin::Default))
+    }
+
+    /// A file's text. Whether values are within their bounds is not looked at.
+    ///
+    /// # Errors
+    /// For what is no TOML, an unknown key and a value of another kind, naming line and key.
+    pub fn of_file(path: &Path, text: &str) -> Result<Self, ConfigError> {
+        let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
+        let mut spans = Vec::new();
+        let at_span = |error: &toml::de::Error, spans: &[(String, Range<usize>)]| {
+            let start = error.span().map(|span| span.start);
+            let key = start.and_then(|at| spans.iter().find(|(_, span)| span.contains(&at)));
+            let message = error.message();
+            ConfigError {
+                origin: match start {
+                    Some(at) => Origin::File(path.to_owned(), line(at)).to_string(),
+                    None => path.display().to_string(),
+                },
+                what: match key {
+                    Some((key, _)) => format!("{key}: {message}"),
+                    None => message.to_owned(),
+                },
+            }
+        };
+        let parsed = DeTable::parse(text).map_err(|error| at_span(&error, &spans))?;
+        leaf_spans(parsed.get_ref(), "", &mut spans);
+        toml::from_str::<Config>(text).map_err(|error| at_span(&error, &spans))?;
+        let table = toml::from_str(text).map_err(|error| at_span(&error, &spans))?;
+        let origin = |span: Range<usize>| Origin::File(path.to_owned(), line(span.start));
+        Ok(Layer {
+            table,
+            origins: spans
+                .into_iter()
+                .map(|(key, span)| (key, origin(span)))
+                .collect(),
+        })
+    }
+
+    /// The variables named `RELIEF_SECTION__KEY`; a value is TOML, or else a string without its quotes. Other variables are none
+    /// of the configuration's.
+    ///
+    /// # Errors
+    /// For an unknown key, and a value of another kind, naming the variable.
+    pub fn of_environment(variables: &[(String, String)]) -> Result<Self, ConfigError> {
+        let mut layer = Layer::default();
+        for (name, text) in variables {
+            let Some(path) = name.strip_prefix(PREFIX) else {
+                continue;
+            };
+            let lower = path.to_lowercase();
+            let path: Vec<&str> = lower.split(SEPARATOR).collect();
+            if path.len() < 2 {
+                continue;
+            }
+            let origin = Origin::Environment(name.clone());
+            let table = nested(&path, value_of(text));
+            Config::deserialize(table.clone()).map_err(|error| ConfigError {
+                origin: origin.to_string(),
+                what: format!("{}: {}", path.join("."), error.message()),
+            })?;
+            layer.lay(Layer::of_one_origin(table, &origin));
+        }
+        Ok(layer)
+    }
+
+    /// The flags.
+    pub fn of_overrides(overrides: &Overrides) -> Self {
+        let float = |value: Option<f64>| value.map(Value::Float);
+        let switch = |value: Option<bool>| value.map(Value::Boolean);
+        let count = overrides.max_snapshots;
+        let count = count.map(|n| Value::Integer(i64::try_from(n).unwrap_or(i64::MAX)));
+        let crop = |crop: Crop| Value::try_from(crop).ok();
+        let mut layer = Layer::default();
+        for (path, value) in [
+            (
+                &["fusion", "voxel_size_m"][..],
+                float(overrides.voxel_size_m),
+            ),
+            (&["fusion", "depth_max_m"], float(overrides.depth_max_m)),
+            (
+                &["fusion", "polish", "enabled"],
+                switch(overrides.polish_poses),
+            ),
+            (&["snapshot", "max_snapshots"], count),
+            (&["object", "crop"], overrides.crop.and_then(crop)),
+            (&["object", "watertight"], switch(overrides.watertight)),
+        ] {
+            if let Some(value) = value {
+                let table = nested(path, value);
+                layer.lay(Layer::of_one_origin(table, &Origin::CommandLine));
+            }
+        }
+        layer
+    }
+
+    /// Lays another layer on this one.
+    pub fn lay(&mut self, upper: Layer) {
+        merge(&mut self.table, &mut self.origins, upper.table, "");
+        self.origins.extend(upper.origins);
+    }
+
+    fn of_one_origin(table: Table, origin: &Origin) -> Self {
+        let mut keys = Vec::new();
+        leaves(&table, "", &mut |key, _| keys.push(key));
+        let origins = keys.into_iter().map(|key| (key, origin.clone())).collect();
+        Layer { table, origins }
+    }
+}
+
+/// Calls back for every key that is no table, with the tables' names before it.
+pub fn leaves(table: &Table, prefix: &str, take: &mut impl FnMut(String, &Value)) {
+    for (key, value) in table {
+        let name = format!("{prefix}{key}");
+        match value {
+            Value::Table(inner) => leaves(inner, &format!("{name}."), take),
+            _ => take(name, value),
+        }
+    }
+}
+
+/// The same with the places in the text: from the start of the key to the end of its value.
+fn leaf_spans(table: &DeTable, prefix: &str, found: &mut Vec<(String, Range<usize>)>) {
+    for (key, value) in table {
+        let name = format!("{prefix}{}", key.get_ref());
+        match value.get_ref() {
+            DeValue::Table(inner) => leaf_spans(inner, &format!("{name}."), found),
+            _ => found.push((name, key.span().start..value.span().end.max(key.span().end))),
+        }
+    }
+}
+
+/// Tables are merged; of anything else the upper takes the lower's place, whose origins are forgotten.
+fn merge(lower: &mut Table, origins: &mut BTreeMap<String, Origin>, upper: Table, prefix: &str) {
+    for (key, value) in upper {
+        let name = format!("{prefix}{key}");
+        match (lower.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => {
+                merge(below, origins, above, &format!("{name}."));
+            }
+            (_, value) => {
+                let inside = format!("{name}.");
+                origins.retain(|key, _| *key != name && !key.starts_with(&inside));
+                lower.insert(key, value);
+            }
+        }
+    }
+}
+
+fn nested(path: &[&str], value: Value) -> Table {
+    let mut table = Table::new();
+    if let [first, rest @ ..] = path {
+        let value = match rest {
+            [] => value,
+            _ => Value::Table(nested(rest, value)),
+        };
+        table.insert((*first).to_owned(), value);
+    }
+    table
+}
+
+/// A value as it would stand in a file, or the text itself.
+fn value_of(text: &str) -> Value {
+    let parsed = toml::from_str(&format!("value = {text}"));
+    let value = parsed
+        .ok()
+        .and_then(|mut table: Table| table.remove("value"));
+    value.unwrap_or_else(|| Value::String(text.to_owned()))
+}

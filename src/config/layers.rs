@@ -1,0 +1,365 @@
+//! The layers of the configuration, one on the other: the lowest are the defaults, the highest is the command line.
+
+use super::{
+    Config, ConfigError, Origin, Overrides,
+    layer::{Layer, leaves},
+};
+use serde::Deserialize;
+use std::{
+    collections::BTreeMap,
+    env, fs, io,
+    path::{Path, PathBuf},
+};
+use toml::Value;
+
+/// The machine's files are looked for under this folder instead of `/`, if the variable is set.
+const ROOT_VARIABLE: &str = "RELIEF_CONFIG_ROOT";
+
+/// Where layers come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Source {
+    /// A file that may be missing.
+    File(PathBuf),
+    /// The files of a folder that end in `.toml`, by name; it may be missing.
+    Folder(PathBuf),
+    /// A file that must be there.
+    Given(PathBuf),
+}
+
+/// Where all layers come from, the lowest first.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LayerPlaces {
+    sources: Vec<Source>,
+    environment: Vec<(String, String)>,
+}
+
+impl LayerPlaces {
+    /// This machine: `/usr/share/relief/relief.toml`, `/etc/relief/relief.toml`, `/etc/relief/conf.d/*.toml`,
+    /// `$XDG_CONFIG_HOME/relief/relief.toml`, the file given, the environment.
+    pub fn of_machine(given: Option<&Path>) -> Self {
+        let set = |name: &str| env::var_os(name).filter(|value| !value.is_empty());
+        let of_home = || set("HOME").map(|home| PathBuf::from(home).join(".config"));
+        let of_user = set("XDG_CONFIG_HOME").map(PathBuf::from).or_else(of_home);
+        let root = set(ROOT_VARIABLE).map_or_else(|| PathBuf::from("/"), PathBuf::from);
+        let variables = env::vars_os().filter_map(|(name, value)| {
+            let name = name.into_string().ok()?;
+            Some((name, value.into_string().ok()?))
+        });
+        LayerPlaces::under(&root, of_user.as_deref(), given).with_environment(variables.collect())
+    }
+
+    /// The files of a machine whose root is that folder, and the file given.
+    pub fn under(root: &Path, user_config: Option<&Path>, given: Option<&Path>) -> Self {
+        let file = |path: &Path| {
+            let inside = path.strip_prefix("/").unwrap_or(path);
+            root.join(inside).join("relief")
+        };
+        let etc = file(Path::new("etc"));
+        let mut sources = vec![
+            Source::File(file(Path::new("usr/share")).join("relief.toml")),
+            Source::File(etc.join("relief.toml")),
+            Source::Folder(etc.join("conf.d")),
+        ];
+        let of_user = user_config.map(|folder| Source::File(file(folder).join("relief.toml")));
+        sources.extend(of_user);
+        sources.extend(given.map(|path| Source::Given(path.to_owned())));
+        LayerPlaces {
+            sources,
+            environment: Vec::new(),
+        }
+    }
+
+    /// The file given, and nothing of the machine.
+    pub fn only(given: Option<&Path>) -> Self {
+        LayerPlaces {
+            sources: given
+                .map(|path| Source::Given(path.to_owned()))
+                .into_iter()
+                .collect(),
+            environment: Vec::new(),
+        }
+    }
+
+    /// With environment variables.
+    pub fn with_environment(self, mut environment: Vec<(String, String)>) -> Self {
+        environment.sort();
+        LayerPlaces {
+            environment,
+            ..self
+        }
+    }
+
+    /// The files that are there now, in the order in which they are laid on.
+    fn files(&self) -> Result<Vec<(PathBuf, String)>, ConfigError> {
+        let mut files = Vec::new();
+        for source in &self.sources {
+            match source {
+                Source::File(path) => files.extend(read_if_there(path)?),
+                Source::Folder(folder) => {
+                    for path in toml_files(folder)? {
+                        files.extend(read_if_there(&path)?);
+                    }
+                }
+                Source::Given(path) => {
+                    let text = fs::read_to_string(path);
+                    let text = text.map_err(|error| ConfigError::in_file(path, error))?;
+                    files.push((path.clone(), text));
+                }
+            }
+        }
+        Ok(files)
+    }
+}
+
+fn read_if_there(path: &Path) -> Result<Option<(PathBuf, String)>, ConfigError> {
+    match fs::read_to_string(path) {
+        Ok(text) => Ok(Some((path.to_owned(), text))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(ConfigError::in_file(path, error)),
+    }
+}
+
+fn toml_files(folder: &Path) -> Result<Vec<PathBuf>, ConfigError> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(|error| ConfigError::in_file(folder, error))?,
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry
+            .map_err(|error| ConfigError::in_file(folder, error))?
+            .path();
+        if path.extension().is_some_and(|kind| kind == "toml") {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// A configuration of which is known who said what.
+#[derive(Clone, Debug)]
+pub struct LayeredConfig {
+    /// The configuration, checked.
+    pub config: Config,
+    /// The files that it was read from, the lowest first.
+    pub files: Vec<PathBuf>,
+    layers: Layer,
+}
+
+impl LayeredConfig {
+    /// Lays the layers one on the other; each is checked together with those below it.
+    ///
+    /// # Errors
+    /// For a file that cannot be read or parsed, an unknown key, and a value beyond its bound; the error names file and line,
+    /// variable or command line, the key, its value and the bound.
+    pub fn read(places: &LayerPlaces, overrides: &Overrides) -> Result<Self, ConfigError> {
+        let mut layered = LayeredConfig {
+            config: Config::default(),
+            files: Vec::new(),
+            layers: Layer::defaults()?,
+        };
+        for (path, text) in places.files()? {
+            layered.lay(Layer::of_file(&path, &text)?, &path.display().to_string())?;
+            layered.files.push(path);
+        }
+        let environment = Layer::of_environment(&places.environment)?;
+        layered.lay(environment, "environment")?;
+        let flags = Layer::of_overrides(overrides);
+        layered.lay(flags, &Origin::CommandLine.to_string())?;
+        Ok(layered)
+    }
+
+    fn lay(&mut self, layer: Layer, layer_name: &str) -> Result<(), ConfigError> {
+        let said = layer.origins.clone();
+        self.layers.lay(layer);
+        let table = self.layers.table.clone();
+        let read = Config::deserialize(table).map_err(|error| error.to_string());
+        let checked = read.and_then(|config| config.validate().map(|()| config));
+        self.config = checked.map_err(|what| {
+            // The message begins with the key.
+            let key = what.split([' ', '[', ':']).next().unwrap_or_default();
+            let origin = said.get(key).map(Origin::to_string);
+            ConfigError {
+                origin: origin.unwrap_or_else(|| layer_name.to_owned()),
+                what,
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Every key, with the tables' names before it, its value and where that comes from, by name.
+    pub fn entries(&self) -> BTreeMap<String, (Value, Origin)> {
+        let mut entries = BTreeMap::new();
+        leaves(&self.layers.table, "", &mut |key, value| {
+            let origin = self.layers.origins.get(&key).cloned();
+            let origin = origin.unwrap_or(Origin::Default);
+            entries.insert(key, (value.clone(), origin));
+        });
+        entries
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A machine whose files are in a folder.
+    struct Machine(tempfile::TempDir);
+
+    impl Machine {
+        fn new(files: &[(&str, &str)]) -> Self {
+            let machine = Machine(tempfile::tempdir().unwrap());
+            for (path, text) in files {
+                let path = machine.path(path);
+                fs::create_dir_all(path.parent().unwrap()).unwrap();
+                fs::write(path, text).unwrap();
+            }
+            machine
+        }
+
+        fn path(&self, path: &str) -> PathBuf {
+            self.0.path().join(path)
+        }
+
+        fn places(&self, given: Option<&str>) -> LayerPlaces {
+            let given = given.map(|path| self.path(path));
+            let user = Path::new("/home/somebody/.config");
+            LayerPlaces::under(self.0.path(), Some(user), given.as_deref())
+        }
+    }
+
+    fn variables(pairs: &[(&str, &str)]) -> Vec<(String, String)> {
+        let pair = |&(name, value): &(&str, &str)| (name.to_owned(), value.to_owned());
+        pairs.iter().map(pair).collect()
+    }
+
+    const VOXEL: &str = "fusion.voxel_size_m";
+
+    #[test]
+    fn each_layer_lies_on_those_before_it_and_every_key_has_its_origin() {
+        let voxel = |mm: u32| format!("# of this layer\n[fusion]\nvoxel_size_m = 0.00{mm}\n");
+        let order = [
+            "usr/share/relief/relief.toml",
+            "etc/relief/relief.toml",
+            "etc/relief/conf.d/10-first.toml",
+            "etc/relief/conf.d/20-second.toml",
+            "home/somebody/.config/relief/relief.toml",
+            "given.toml",
+        ];
+        let mut files = vec![("etc/relief/conf.d/README", "no TOML".to_owned())];
+        for (index, name) in order.iter().enumerate() {
+            files.push((name, voxel(3 + index as u32)));
+            let texts: Vec<_> = files
+                .iter()
+                .map(|(path, text)| (*path, text.as_str()))
+                .collect();
+            let machine = Machine::new(&texts);
+            let given = (*name == "given.toml").then_some(*name);
+            let read = LayeredConfig::read(&machine.places(given), &Overrides::default()).unwrap();
+            assert_eq!(
+                read.config.fusion.voxel_size_m,
+                f64::from(3 + index as u32) / 1000.0
+            );
+            let entries = read.entries();
+            assert_eq!(entries[VOXEL].1, Origin::File(machine.path(name), 3));
+            assert_eq!(entries["fusion.depth_max_m"].1, Origin::Default);
+            assert_eq!(read.files.len(), index + 1);
+        }
+    }
+
+    #[test]
+    fn the_environment_lies_on_the_files_and_the_flags_on_everything() {
+        let machine = Machine::new(&[("given.toml", "[fusion]\nvoxel_size_m = 0.004\n")]);
+        let places = machine
+            .places(Some("given.toml"))
+            .with_environment(variables(&[
+                ("RELIEF_FUSION__ICP__ITERATIONS", "[1, 2, 3]"),
+                ("RELIEF_FUSION__VOXEL_SIZE_M", "0.005"),
+                ("RELIEF_FUSION__DEPTH_MAX_M", "3"),
+                ("RELIEF_OBJECT__CROP", "object"),
+                ("RELIEF_CONFIG_ROOT", "/nowhere"),
+                ("PATH", "/bin"),
+            ]));
+        let overrides = Overrides {
+            depth_max_m: Some(2.5),
+            crop: Some(crate::refine::Crop::Box([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])),
+            ..Overrides::default()
+        };
+        let read = LayeredConfig::read(&places, &overrides).unwrap();
+        assert_eq!(read.config.fusion.icp.iterations, [1, 2, 3]);
+        assert_eq!(read.config.fusion.voxel_size_m, 0.005);
+        assert_eq!(read.config.fusion.depth_max_m, 2.5);
+        assert_eq!(Some(read.config.object.crop), overrides.crop);
+        let entries = read.entries();
+        let variable = Origin::Environment("RELIEF_FUSION__VOXEL_SIZE_M".to_owned());
+        assert_eq!(entries[VOXEL].1, variable);
+        assert_eq!(entries["fusion.depth_max_m"].1, Origin::CommandLine);
+        // What another kind of value has displaced is gone.
+        assert!(!entries.contains_key("object.crop"));
+        assert_eq!(entries["object.crop.box"].1, Origin::CommandLine);
+    }
+
+    #[test]
+    fn errors_name_place_key_value_and_bound() {
+        for (text, said) in [
+            (
+                "[fusion]\n\nvoxel_size_m = -1.0\n",
+                "given.toml:3: fusion.voxel_size_m is -1, must be 0.0005 to 0.1",
+            ),
+            (
+                "[fusion]\nvoxel_size = 0.1\n",
+                "given.toml:2: fusion.voxel_size: unknown field `voxel_size`",
+            ),
+            (
+                "[fusion.icp]\niterations = \"many\"\n",
+                "given.toml:2: fusion.icp.iterations: invalid type: string \"many\"",
+            ),
+            ("[fusion]\nvoxel_size_m = \n", "given.toml:2: "),
+            ("[wheels]\nn = 4\n", "given.toml:1: unknown field `wheels`"),
+        ] {
+            let machine = Machine::new(&[("given.toml", text)]);
+            let read =
+                LayeredConfig::read(&machine.places(Some("given.toml")), &Overrides::default());
+            let error = read.unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+        for (name, value, said) in [
+            (
+                "RELIEF_FUSION__VOXEL_SIZE_M",
+                "7",
+                "environment variable RELIEF_FUSION__VOXEL_SIZE_M: fusion.voxel_size_m is 7, must be",
+            ),
+            (
+                "RELIEF_FUSION__WHEELS",
+                "4",
+                "environment variable RELIEF_FUSION__WHEELS: fusion.wheels: unknown field",
+            ),
+        ] {
+            let places = LayerPlaces::only(None).with_environment(variables(&[(name, value)]));
+            let error = LayeredConfig::read(&places, &Overrides::default()).unwrap_err();
+            assert!(error.to_string().starts_with(said), "{error}");
+        }
+        let missing = LayerPlaces::only(Some(Path::new("/nowhere/at/all.toml")));
+        let error = LayeredConfig::read(&missing, &Overrides::default()).unwrap_err();
+        assert!(
+            error.to_string().starts_with("/nowhere/at/all.toml: "),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn without_a_layer_the_defaults_stand() {
+        let machine = Machine::new(&[]);
+        let read = LayeredConfig::read(&machine.places(None), &Overrides::default()).unwrap();
+        assert_eq!(read.config, Config::default());
+        assert!(read.files.is_empty());
+        let entries = read.entries();
+        assert!(
+            entries.len() > 50
+                && entries
+                    .values()
+                    .all(|(_, origin)| *origin == Origin::Default)
+        );
+    }
+}

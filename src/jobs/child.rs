@@ -1,0 +1,281 @@
+//! The child process of an attempt: started, listened to, told to end.
+
+use super::{JobProgress, limits::Limits};
+use crossbeam::channel::{Receiver, bounded};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use serde::{Deserialize, Serialize};
+use std::{
+    ffi::OsString,
+    io::{self, BufRead, BufReader, Read},
+    os::unix::process::{CommandExt, ExitStatusExt},
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+/// How often the child and the orders are looked at.
+const POLL: Duration = Duration::from_millis(50);
+/// Longer lines are no child's of ours.
+const MAX_LINE_BYTES: u64 = 1 << 20;
+/// Of what the child said last, so much is kept.
+const MAX_SAID_CHARS: usize = 400;
+/// Exit code of a child whose arguments or configuration make no sense, and will not another time.
+const EXIT_BAD_USAGE: i32 = 2;
+
+/// A line of `relief refine --progress-json`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+pub struct ProgressLine {
+    /// How far it is.
+    pub progress: JobProgress,
+}
+
+/// Of the last line, the summary, what the worker asks.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+struct Summary {
+    refined: bool,
+    not_refined_reason: Option<String>,
+}
+
+/// What is run.
+#[derive(Clone, Debug)]
+pub struct Attempt<'a> {
+    /// The program.
+    pub program: &'a Path,
+    /// The scan's folder.
+    pub scan: PathBuf,
+    /// The folder of its outputs.
+    pub out: PathBuf,
+    /// The file of the settings.
+    pub settings: PathBuf,
+    /// Where calibrations named by serial number lie, for a scan without one.
+    pub calibration_dir: &'a Path,
+    /// Its limits.
+    pub limits: Limits,
+    /// How long it may take to end when it is told to.
+    pub grace: Duration,
+}
+
+/// How an attempt ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum AttemptEnd {
+    /// The output folder is whole and holds a refined mesh.
+    Refined,
+    /// There is no refined mesh, for this reason.
+    Refused(String),
+    /// It was told to end.
+    Told,
+    /// It failed.
+    Failed {
+        /// Why.
+        reason: String,
+        /// Whether another attempt may fare better.
+        may_repeat: bool,
+    },
+}
+
+/// Runs the child to its end. `is_told` says whether it is to end before.
+///
+/// # Errors
+/// If the system gives no process or thread.
+pub fn run(
+    attempt: &Attempt,
+    is_told: impl Fn() -> bool,
+    on_progress: impl Fn(JobProgress) + Send + 'static,
+) -> io::Result<AttemptEnd> {
+    let mut child = Command::new(attempt.program)
+        .args(arguments(attempt))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        // A group of its own: neither the terminal's Ctrl-C nor its own children are mixed with the daemon's.
+        .process_group(0)
+        .spawn()?;
+    let heard = match listen(&mut child, on_progress) {
+        Ok(heard) => heard,
+        Err(error) => {
+            kill(&child, Signal::KILL);
+            child.wait()?;
+            return Err(error);
+        }
+    };
+    let was_told = watch(&child, attempt.grace, is_told);
+    // Until it is waited for its number is its own, so that nobody else is hit.
+    kill(&child, Signal::KILL);
+    let status = child.wait()?;
+    if was_told? {
+        return Ok(AttemptEnd::Told);
+    }
+    // Whoever holds the other end of a pipe is dead; the time limit is for who has left the group.
+    let summary = heard.summary.recv_timeout(attempt.grace).ok().flatten();
+    let last_words = heard.last_words.recv_timeout(attempt.grace);
+    Ok(verdict(status, summary, &last_words.unwrap_or_default()))
+}
+
+fn arguments(attempt: &Attempt) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = vec![
+        "refine".into(),
+        (&attempt.scan).into(),
+        "--out".into(),
+        (&attempt.out).into(),
+        "--deliver-to".into(),
+        (&attempt.scan).into(),
+        "--config".into(),
+        (&attempt.settings).into(),
+        "--calibration-dir".into(),
+        attempt.calibration_dir.into(),
+        "--progress-json".into(),
+    ];
+    arguments.extend(attempt.limits.arguments().into_iter().map(OsString::from));
+    arguments
+}
+
+/// Waits for the child's end; tells it to end if it is told so, and kills it if that takes too long. Returns whether it was
+/// told. The child is not waited for: its number stays taken.
+fn watch(child: &Child, grace: Duration, is_told: impl Fn() -> bool) -> io::Result<bool> {
+    let has_ended = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+    let mut told_at: Option<Instant> = None;
+    while waitid(WaitId::Pid(pid(child)?), has_ended)?.is_none() {
+        match told_at {
+            None if is_told() => {
+                told_at = Some(Instant::now());
+                kill(child, Signal::TERM);
+            }
+            Some(when) if when.elapsed() > grace => kill(child, Signal::KILL),
+            _ => {}
+        }
+        thread::sleep(POLL);
+    }
+    Ok(told_at.is_some())
+}
+
+fn pid(child: &Child) -> io::Result<Pid> {
+    let number = i32::try_from(child.id()).ok();
+    number
+        .and_then(Pid::from_raw)
+        .ok_or_else(|| io::Error::other(format!("{} is no process", child.id())))
+}
+
+/// Sends a signal to the child and its own children. One that has ended needs none.
+fn kill(child: &Child, signal: Signal) {
+    if let Ok(pid) = pid(child) {
+        let _ = kill_process_group(pid, signal);
+    }
+}
+
+/// What the threads at the child's pipes hear, once the pipes are closed.
+struct Heard {
+    summary: Receiver<Option<Summary>>,
+    last_words: Receiver<String>,
+}
+
+fn listen(
+    child: &mut Child,
+    on_progress: impl Fn(JobProgress) + Send + 'static,
+) -> io::Result<Heard> {
+    let closed = || io::Error::other("the child has no pipe");
+    let stdout = child.stdout.take().ok_or_else(closed)?;
+    let stderr = child.stderr.take().ok_or_else(closed)?;
+    let (summary_in, summary) = bounded(1);
+    let (words_in, last_words) = bounded(1);
+    thread::Builder::new()
+        .name("job-progress".to_owned())
+        .spawn(move || {
+            // Nobody waits for it any more: then there is nobody to tell.
+            let _ = summary_in.send(hear_progress(stdout, on_progress));
+        })?;
+    thread::Builder::new()
+        .name("job-log".to_owned())
+        .spawn(move || {
+            let _ = words_in.send(hear_log(stderr));
+        })?;
+    Ok(Heard {
+        summary,
+        last_words,
+    })
+}
+
+/// Calls back for each progress line; returns the summary, if there is one.
+fn hear_progress(pipe: impl Read, on_progress: impl Fn(JobProgress)) -> Option<Summary> {
+    let mut summary = None;
+    for_each_line(pipe, |line| {
+        if let Ok(line) = serde_json::from_str::<ProgressLine>(line) {
+            on_progress(line.progress);
+        } else if let Ok(found) = serde_json::from_str(line) {
+            summary = Some(found);
+        }
+    });
+    summary
+}
+
+/// Passes on what the child logs; returns its last line.
+fn hear_log(pipe: impl Read) -> String {
+    let mut last = String::new();
+    for_each_line(pipe, |line| {
+        let line = line.trim();
+        if !line.is_empty() {
+            tracing::debug!(line, "refinement");
+            last = line.chars().take(MAX_SAID_CHARS).collect();
+        }
+    });
+    last
+}
+
+/// Reads lines, which end where they are too long, until the pipe is closed or broken.
+fn for_each_line(pipe: impl Read, mut take: impl FnMut(&str)) {
+    let mut pipe = BufReader::new(pipe);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        match pipe
+            .by_ref()
+            .take(MAX_LINE_BYTES)
+            .read_until(b'\n', &mut line)
+        {
+            Ok(0) | Err(_) => return,
+            Ok(_) => take(&String::from_utf8_lossy(&line)),
+        }
+    }
+}
+
+/// What the child's end means.
+fn verdict(status: ExitStatus, summary: Option<Summary>, last_words: &str) -> AttemptEnd {
+    let failed = |what: String, may_repeat| AttemptEnd::Failed {
+        reason: match last_words {
+            "" => what,
+            said => format!("{what}: {said}"),
+        },
+        may_repeat,
+    };
+    match (status.code(), status.signal(), summary) {
+        (Some(0), _, Some(summary)) if summary.refined => AttemptEnd::Refined,
+        (Some(0), _, Some(summary)) => AttemptEnd::Refused(
+            summary
+                .not_refined_reason
+                .unwrap_or_else(|| "refinement gives no reason".to_owned()),
+        ),
+        (Some(0), _, None) => failed("it ended without a summary".to_owned(), true),
+        (Some(EXIT_BAD_USAGE), ..) => failed("bad usage or configuration".to_owned(), false),
+        (Some(code), ..) => failed(format!("exit code {code}"), true),
+        (None, Some(signal), _) => failed(format!("killed by signal {}", name_of(signal)), true),
+        (None, None, _) => failed(format!("it ended with {status}"), true),
+    }
+}
+
+/// The signals that end a refinement.
+fn name_of(signal: i32) -> String {
+    let known = [
+        (Signal::KILL, "SIGKILL"),
+        (Signal::TERM, "SIGTERM"),
+        (Signal::INT, "SIGINT"),
+        (Signal::SEGV, "SIGSEGV"),
+        (Signal::BUS, "SIGBUS"),
+        (Signal::ABORT, "SIGABRT, as where memory is used up"),
+        (Signal::XCPU, "SIGXCPU: its processor time is used up"),
+    ];
+    let name = known
+        .iter()
+        .find(|(known, _)| known.as_raw() == signal)
+        .map(|(_, name)| *name);
+    name.map_or_else(|| signal.to_string(), str::to_owned)
+}

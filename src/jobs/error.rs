@@ -1,0 +1,50 @@
+//! Why a job cannot be taken, found or cancelled.
+
+use super::{JobId, JobState};
+use std::{io, path::PathBuf};
+
+/// Why the spool or the worker refuses.
+#[derive(Debug, thiserror::Error)]
+pub enum JobError {
+    /// Another process works on this spool.
+    #[error("spool {} is in use by another process", .0.display())]
+    InUse(PathBuf),
+    /// The folder is no scan of this data directory.
+    #[error("{} is no scan of {}", session.display(), sessions.display())]
+    NoScan {
+        /// What was given.
+        session: PathBuf,
+        /// Where scans lie.
+        sessions: PathBuf,
+    },
+    /// The scan lacks what refinement is made from.
+    #[error("the scan in {} cannot be refined: {what}", session.display())]
+    NotRefinable {
+        /// The scan.
+        session: PathBuf,
+        /// What is missing.
+        what: String,
+    },
+    /// There is no such job.
+    #[error("there is no job {0}")]
+    Unknown(JobId),
+    /// The job is over.
+    #[error("job {id} is {} already", state.code())]
+    Ended {
+        /// The job.
+        id: JobId,
+        /// How it ended.
+        state: JobState,
+    },
+    /// The worker has been told to stop.
+    #[error("the worker is stopping")]
+    Stopping,
+    /// The system refused.
+    #[error("cannot use {}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}

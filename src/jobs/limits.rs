@@ -1,0 +1,85 @@
+//! What the child process imposes on itself before it begins.
+//!
+//! The daemon could do so between fork and exec, but only by unsafe code; a flag says it as well.
+
+use super::WorkerParams;
+use rustix::process::{self, Pid, Resource, Rlimit, Signal};
+use std::io;
+
+/// Priority and limits of a process. `None` leaves what it has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Limits {
+    /// Niceness to add, which the system also derives the priority at the disk from.
+    pub nice: Option<i32>,
+    /// Address space, MiB.
+    pub max_memory_mb: Option<u64>,
+    /// Processor time, seconds.
+    pub max_cpu_secs: Option<u64>,
+    /// The process must not outlive this one, its parent.
+    pub parent: Option<u32>,
+}
+
+impl Limits {
+    /// The limits of a child of this process.
+    pub fn of_child(params: &WorkerParams) -> Self {
+        Limits {
+            nice: Some(params.nice),
+            max_memory_mb: Some(params.max_memory_mb),
+            max_cpu_secs: Some(params.max_cpu_secs),
+            parent: Some(std::process::id()),
+        }
+    }
+
+    /// As arguments of `relief refine`.
+    pub fn arguments(&self) -> Vec<String> {
+        let flag =
+            |name: &str, value: Option<String>| value.map(|value| format!("--{name}={value}"));
+        [
+            flag("nice", self.nice.map(|nice| nice.to_string())),
+            flag("max-memory-mb", self.max_memory_mb.map(|mb| mb.to_string())),
+            flag(
+                "max-cpu-secs",
+                self.max_cpu_secs.map(|secs| secs.to_string()),
+            ),
+            flag("parent", self.parent.map(|pid| pid.to_string())),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+
+    /// Imposes them on this process; to be called before it starts a thread, which would keep its own priority.
+    ///
+    /// # Errors
+    /// If the system refuses, or the parent is gone.
+    pub fn impose(&self) -> io::Result<()> {
+        if let Some(parent) = self.parent {
+            process::set_parent_process_death_signal(Some(Signal::KILL))?;
+            // It may have ended before the line above.
+            let present = process::getppid().map(Pid::as_raw_pid);
+            if present.and_then(|pid| u32::try_from(pid).ok()) != Some(parent) {
+                return Err(io::Error::other(
+                    "the process that started this one is gone",
+                ));
+            }
+        }
+        if let Some(nice) = self.nice {
+            process::nice(nice)?;
+        }
+        if let Some(mb) = self.max_memory_mb {
+            limit(Resource::As, mb.saturating_mul(1 << 20))?;
+        }
+        if let Some(secs) = self.max_cpu_secs {
+            limit(Resource::Cpu, secs)?;
+        }
+        Ok(())
+    }
+}
+
+fn limit(resource: Resource, maximum: u64) -> io::Result<()> {
+    let limit = Rlimit {
+        current: Some(maximum),
+        maximum: Some(maximum),
+    };
+    Ok(process::setrlimit(resource, limit)?)
+}

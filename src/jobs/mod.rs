@@ -1,0 +1,34 @@
+//! Refinement beside capture: jobs in a durable spool, run one at a time by a child process of low priority.
+//!
+//! A job is the refinement of one scan's folder, and is named by all that it is made from ([`JobId`]): asking twice for the same is
+//! asking once. [`spool`] keeps jobs on the disk; the [`Worker`]'s thread claims them and runs `relief refine` for each, which
+//! lowers its own priority and limits, tells its progress on standard output, and writes into a folder of its own. Only when that
+//! is whole do refined mesh and report go into the scan's folder, one rename each. Base mesh, poses and shading images are
+//! read, never written.
+//!
+//! A child that crashes or is killed is repeated, [`WorkerParams::max_retries`] times at most, and the reasons are kept. A newer job
+//! takes the place of one of the same scan that still waits; one that runs is let be, and its result is dropped if the scan has
+//! changed meanwhile. What ran when the daemon ended runs again when it is back.
+
+mod child;
+mod error;
+mod inputs;
+mod job;
+mod landing;
+mod limits;
+mod params;
+mod runner;
+mod spool;
+mod worker;
+
+#[cfg(test)]
+mod scenes;
+#[cfg(test)]
+mod tests;
+
+pub use child::ProgressLine;
+pub use error::JobError;
+pub use job::{Job, JobId, JobProgress, JobState};
+pub use limits::Limits;
+pub use params::WorkerParams;
+pub use worker::{Worker, WorkerHandle, WorkerSetup, WorkerStatus};

@@ -1,0 +1,177 @@
+//! The worker's thread: takes jobs from the spool, one after the other, and brings each to an end.
+
+use super::{
+    JobError, JobState,
+    child::{self, Attempt, AttemptEnd},
+    inputs::job_id,
+    landing::land,
+    limits::Limits,
+    spool::{self, Record},
+    worker::{Board, Shared, lock},
+};
+use std::{fs, io, sync::PoisonError, time::Duration};
+
+/// After the disk has refused, the worker looks again so much later.
+const AFTER_REFUSAL: Duration = Duration::from_secs(5);
+
+impl Shared {
+    /// Works until the worker is to stop.
+    pub fn work(&self) {
+        self.announce();
+        while self.await_news() {
+            let worked = self.work_off();
+            self.refresh();
+            if let Err(error) = worked {
+                tracing::error!("refinement waits: {error}");
+                self.pause(AFTER_REFUSAL);
+                self.announce();
+            }
+        }
+    }
+
+    /// Waits for something to do; false when the worker is to stop.
+    fn await_news(&self) -> bool {
+        let is_idle = |board: &mut Board| !board.has_news && !board.is_stopping;
+        let waited = self.news.wait_while(lock(&self.board), is_idle);
+        let mut board = waited.unwrap_or_else(PoisonError::into_inner);
+        board.has_news = false;
+        !board.is_stopping
+    }
+
+    fn pause(&self, duration: Duration) {
+        let goes_on = |board: &mut Board| !board.is_stopping;
+        drop(
+            self.news
+                .wait_timeout_while(lock(&self.board), duration, goes_on),
+        );
+    }
+
+    /// Runs jobs until none waits or the worker is to stop.
+    fn work_off(&self) -> Result<(), JobError> {
+        let cut_off = lock(&self.spool).landing()?;
+        for record in cut_off {
+            self.deliver(&record)?;
+        }
+        loop {
+            {
+                let mut board = lock(&self.board);
+                if board.is_stopping {
+                    return Ok(());
+                }
+                board.cancelled = None;
+            }
+            let Some(record) = lock(&self.spool).claim()? else {
+                return Ok(());
+            };
+            *lock(&self.progress) = None;
+            self.refresh();
+            self.run(&record)?;
+            self.refresh();
+        }
+    }
+
+    fn run(&self, record: &Record) -> Result<(), JobError> {
+        if let Some(why) = self.why_stale(record) {
+            return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
+        }
+        let number = record.failures.len() + 1;
+        tracing::info!(job = %record.id, scan = record.scan, attempt = number, "refinement begins");
+        let ended = self
+            .attempt(record)
+            .unwrap_or_else(|error| AttemptEnd::Failed {
+                reason: format!("{} does not run: {error}", self.setup.program.display()),
+                may_repeat: true,
+            });
+        if ended != AttemptEnd::Refined {
+            self.clear(record)?;
+        }
+        let spool = || lock(&self.spool);
+        match ended {
+            AttemptEnd::Refined => self.take_in(record),
+            AttemptEnd::Refused(reason) => {
+                tracing::warn!(job = %record.id, reason, "not refined");
+                spool().end(&record.id, JobState::Refused, Some(reason))
+            }
+            // Either somebody has ended the job, or it goes on when the daemon is back.
+            AttemptEnd::Told => spool().put_back(&record.id),
+            AttemptEnd::Failed { reason, may_repeat } => {
+                tracing::warn!(job = %record.id, attempt = number, reason, "refinement failed");
+                spool().fail(&record.id, reason, may_repeat)
+            }
+        }
+    }
+
+    fn attempt(&self, record: &Record) -> io::Result<AttemptEnd> {
+        let setup = &self.setup;
+        let attempt = {
+            let spool = lock(&self.spool);
+            let out = spool.output_folder(record);
+            Attempt {
+                program: &setup.program,
+                scan: spool.scan_folder(record),
+                out: out.ok_or_else(|| io::Error::other("the job has no output folder"))?,
+                settings: spool.settings_file(record),
+                calibration_dir: &setup.calibration_dir,
+                limits: Limits::of_child(&setup.params),
+                grace: Duration::from_secs_f64(setup.params.grace_secs),
+            }
+        };
+        let is_told = || {
+            let board = lock(&self.board);
+            board.is_stopping || board.cancelled.as_ref() == Some(&record.id)
+        };
+        let slot = self.progress.clone();
+        let on_progress = move |progress| *lock(&slot) = Some(progress);
+        child::run(&attempt, is_told, on_progress)
+    }
+
+    /// Takes the outputs of an attempt into the scan, unless the scan has changed or somebody has ended the job.
+    fn take_in(&self, record: &Record) -> Result<(), JobError> {
+        if let Some(why) = self.why_stale(record) {
+            self.clear(record)?;
+            return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
+        }
+        if lock(&self.spool).begin_landing(&record.id)? {
+            return self.deliver(record);
+        }
+        self.clear(record)?;
+        lock(&self.spool).put_back(&record.id)
+    }
+
+    fn deliver(&self, record: &Record) -> Result<(), JobError> {
+        let (scan, out) = {
+            let spool = lock(&self.spool);
+            (spool.scan_folder(record), spool.output_folder(record))
+        };
+        let landed = out.map_or(Ok(()), |out| land(&out, &scan));
+        if let Err(error) = landed {
+            tracing::error!(job = %record.id, "the refined mesh cannot be delivered: {error}");
+            self.clear(record)?;
+            return lock(&self.spool).fail(&record.id, error.to_string(), true);
+        }
+        tracing::info!(job = %record.id, scan = record.scan, "refined");
+        lock(&self.spool).end(&record.id, JobState::Done, None)
+    }
+
+    /// Why a job is not about its scan any more.
+    fn why_stale(&self, record: &Record) -> Option<String> {
+        let (scan, settings) = {
+            let spool = lock(&self.spool);
+            (spool.scan_folder(record), spool.settings_file(record))
+        };
+        let read = fs::read_to_string(&settings).map_err(spool::at(&settings));
+        match read.and_then(|settings| job_id(&scan, &settings)) {
+            Ok(id) if id == record.id => None,
+            Ok(_) => Some("the scan has changed since".to_owned()),
+            Err(error) => Some(error.to_string()),
+        }
+    }
+
+    /// Removes what an attempt left.
+    fn clear(&self, record: &Record) -> Result<(), JobError> {
+        match lock(&self.spool).output_folder(record) {
+            Some(out) => spool::remove_folder(&out),
+            None => Ok(()),
+        }
+    }
+}

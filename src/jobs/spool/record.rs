@@ -1,0 +1,99 @@
+//! What stands in a job's file.
+
+use crate::jobs::{Job, JobId, JobState};
+use serde::{Deserialize, Serialize};
+
+/// The folders of the spool.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Will be run.
+    Waiting,
+    /// Claimed by the worker.
+    Running,
+    /// Ran to its end.
+    Done,
+    /// Ended otherwise.
+    Failed,
+}
+
+impl Place {
+    /// All of them.
+    pub const ALL: [Place; 4] = [Place::Waiting, Place::Running, Place::Done, Place::Failed];
+
+    /// The folder's name.
+    pub fn folder(self) -> &'static str {
+        match self {
+            Place::Waiting => "waiting",
+            Place::Running => "running",
+            Place::Done => "done",
+            Place::Failed => "failed",
+        }
+    }
+}
+
+/// How a job ended.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ending {
+    /// One of the states in which nothing more happens.
+    pub state: JobState,
+    /// What is to be said of it.
+    pub message: Option<String>,
+}
+
+impl Ending {
+    /// Where a job that ended so is kept.
+    pub fn place(&self) -> Place {
+        match self.state {
+            JobState::Done | JobState::Refused => Place::Done,
+            _ => Place::Failed,
+        }
+    }
+}
+
+/// A job's file.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Record {
+    /// What it is made from; also the file's name.
+    pub id: JobId,
+    /// Name of the scan's folder.
+    pub scan: String,
+    /// Jobs are counted in the order in which they were asked for.
+    pub sequence: u64,
+    /// When it was asked for, milliseconds since 1970.
+    pub submitted_unix_ms: u64,
+    /// Name of the file of its settings.
+    pub settings: String,
+    /// Why its attempts failed, in order.
+    pub failures: Vec<String>,
+    /// The number of the output folder of the attempt that is under way.
+    pub attempt: Option<u32>,
+    /// Whether that attempt succeeded, and its outputs are moved to the scan's folder.
+    pub is_landing: bool,
+    /// How it ended; the file then lies in the folder of the ending, or is on its way there.
+    pub ending: Option<Ending>,
+}
+
+impl Record {
+    /// The job as it is shown.
+    pub fn job(&self, place: Place) -> Job {
+        let state = match (&self.ending, place) {
+            (Some(ending), _) => ending.state,
+            (None, Place::Running) => JobState::Running,
+            (None, _) => JobState::Waiting,
+        };
+        Job {
+            id: self.id.clone(),
+            scan: self.scan.clone(),
+            submitted_unix_ms: self.submitted_unix_ms,
+            state,
+            failures: self.failures.clone(),
+            message: self
+                .ending
+                .as_ref()
+                .and_then(|ending| ending.message.clone()),
+            progress: None,
+        }
+    }
+}

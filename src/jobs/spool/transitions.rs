@@ -1,0 +1,252 @@
+//! What can become of a job.
+
+use super::{Ending, Place, Record, Spool, at, attempt_folder, durable};
+use crate::jobs::{JobError, JobId, JobState};
+use std::collections::BTreeMap;
+
+/// So many jobs that are over are kept.
+const MAX_KEPT: usize = 200;
+
+/// A job that is asked for.
+#[derive(Clone, Debug)]
+pub struct Request<'a> {
+    /// What it is made from.
+    pub id: JobId,
+    /// Name of the scan's folder.
+    pub scan: &'a str,
+    /// What it is run with, TOML.
+    pub settings: &'a str,
+    /// The present moment, milliseconds since 1970.
+    pub now_unix_ms: u64,
+    /// Whether the scan's folder holds a refined mesh.
+    pub has_refined_mesh: bool,
+}
+
+impl Spool {
+    /// Lets a job wait, in the place of older ones of the same scan that wait. One that waits or runs already, or whose result
+    /// stands, stays what it is; one that ended otherwise begins anew.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn submit(&self, request: &Request) -> Result<(Place, Record), JobError> {
+        let all = self.list()?;
+        let sequence = all.first().map_or(0, |(_, newest)| newest.sequence + 1);
+        let known = all.iter().find(|(_, record)| record.id == request.id);
+        let submitted = match known {
+            Some((place, record)) if stays(*place, record, request, &all) => {
+                (*place, record.clone())
+            }
+            _ => {
+                let record = Record {
+                    id: request.id.clone(),
+                    scan: request.scan.to_owned(),
+                    sequence,
+                    submitted_unix_ms: request.now_unix_ms,
+                    settings: self.keep_settings(request.settings)?,
+                    failures: Vec::new(),
+                    attempt: None,
+                    is_landing: false,
+                    ending: None,
+                };
+                let from = known.map_or(Place::Waiting, |(place, _)| *place);
+                self.settle(from, &record, Place::Waiting)?;
+                (Place::Waiting, record)
+            }
+        };
+        self.supersede()?;
+        Ok(submitted)
+    }
+
+    /// Leaves of the waiting jobs of each scan the newest; returns these in the order of asking.
+    pub(super) fn supersede(&self) -> Result<Vec<Record>, JobError> {
+        let mut newest: BTreeMap<String, Record> = BTreeMap::new();
+        for record in self.records(Place::Waiting)? {
+            if let Some(older) = newest.insert(record.scan.clone(), record) {
+                self.end_at(
+                    Place::Waiting,
+                    older,
+                    JobState::Superseded,
+                    Some("a newer job of the scan took its place".to_owned()),
+                )?;
+            }
+        }
+        let mut waiting: Vec<Record> = newest.into_values().collect();
+        waiting.sort_by_key(|record| record.sequence);
+        Ok(waiting)
+    }
+
+    /// Takes the job that waits longest, with a number for its output folder that is still free.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn claim(&self) -> Result<Option<Record>, JobError> {
+        let Some(mut record) = self.supersede()?.into_iter().next() else {
+            return Ok(None);
+        };
+        self.move_record(Place::Waiting, &record.id, Place::Running)?;
+        let scan = self.scan_folder(&record);
+        record.attempt = (1..).find(|&number| !attempt_folder(&scan, number).exists());
+        self.settle(Place::Running, &record, Place::Running)?;
+        Ok(Some(record))
+    }
+
+    /// The jobs whose outputs were being moved when the process ended.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn landing(&self) -> Result<Vec<Record>, JobError> {
+        let running = self.records(Place::Running)?.into_iter();
+        Ok(running.filter(|record| record.is_landing).collect())
+    }
+
+    /// Notes that the running job's outputs are whole and go to the scan's folder; false if somebody has ended it meanwhile.
+    ///
+    /// # Errors
+    /// If it does not run, or the system refuses.
+    pub fn begin_landing(&self, id: &JobId) -> Result<bool, JobError> {
+        let mut record = self.running(id)?;
+        if record.ending.is_some() {
+            return Ok(false);
+        }
+        record.is_landing = true;
+        self.settle(Place::Running, &record, Place::Running)?;
+        Ok(true)
+    }
+
+    /// Ends the running job; an ending that it has already stays.
+    ///
+    /// # Errors
+    /// If it does not run, or the system refuses.
+    pub fn end(
+        &self,
+        id: &JobId,
+        state: JobState,
+        message: Option<String>,
+    ) -> Result<(), JobError> {
+        let record = self.running(id)?;
+        self.end_at(Place::Running, record, state, message)?;
+        self.prune()
+    }
+
+    fn end_at(
+        &self,
+        place: Place,
+        mut record: Record,
+        state: JobState,
+        message: Option<String>,
+    ) -> Result<(), JobError> {
+        let ending = record
+            .ending
+            .get_or_insert(Ending { state, message })
+            .clone();
+        record.attempt = None;
+        record.is_landing = false;
+        self.settle(place, &record, ending.place())
+    }
+
+    /// Notes why the running job's attempt failed: it waits again, unless it may not be repeated or was too often.
+    ///
+    /// # Errors
+    /// If it does not run, or the system refuses.
+    pub fn fail(&self, id: &JobId, reason: String, may_repeat: bool) -> Result<(), JobError> {
+        let mut record = self.running(id)?;
+        self.note_failure(&mut record, reason, may_repeat)
+    }
+
+    pub(super) fn note_failure(
+        &self,
+        record: &mut Record,
+        reason: String,
+        may_repeat: bool,
+    ) -> Result<(), JobError> {
+        record.attempt = None;
+        record.is_landing = false;
+        record.failures.push(reason.clone());
+        let is_over = !may_repeat || record.failures.len() > self.max_retries as usize;
+        match is_over || record.ending.is_some() {
+            true => self.end_at(
+                Place::Running,
+                record.clone(),
+                JobState::Failed,
+                Some(reason),
+            ),
+            false => self.settle(Place::Running, record, Place::Waiting),
+        }
+    }
+
+    /// Lets the running job wait again as if it had not begun.
+    ///
+    /// # Errors
+    /// If it does not run, or the system refuses.
+    pub fn put_back(&self, id: &JobId) -> Result<(), JobError> {
+        let mut record = self.running(id)?;
+        record.attempt = None;
+        record.is_landing = false;
+        let to = record.ending.as_ref().map_or(Place::Waiting, Ending::place);
+        self.settle(Place::Running, &record, to)
+    }
+
+    /// Ends a job that waits, or notes that the one that runs is to end; the worker then moves it.
+    ///
+    /// # Errors
+    /// If there is no such job, it is over or its outputs are being moved, or the system refuses.
+    pub fn cancel(&self, id: &JobId) -> Result<Place, JobError> {
+        let (place, mut record) = self
+            .find(id)?
+            .ok_or_else(|| JobError::Unknown(id.clone()))?;
+        let ended = |state| JobError::Ended {
+            id: id.clone(),
+            state,
+        };
+        match (&record.ending, record.is_landing, place) {
+            (Some(ending), ..) => Err(ended(ending.state)),
+            (None, true, _) => Err(ended(JobState::Done)),
+            (None, false, Place::Running) => {
+                record.ending = Some(Ending {
+                    state: JobState::Cancelled,
+                    message: None,
+                });
+                self.settle(place, &record, place)?;
+                Ok(place)
+            }
+            (None, false, _) => {
+                self.end_at(place, record, JobState::Cancelled, None)?;
+                Ok(place)
+            }
+        }
+    }
+
+    fn running(&self, id: &JobId) -> Result<Record, JobError> {
+        match self.find(id)? {
+            Some((Place::Running, record)) => Ok(record),
+            _ => Err(JobError::Unknown(id.clone())),
+        }
+    }
+
+    /// Forgets the oldest of the jobs that are over, beyond so many.
+    fn prune(&self) -> Result<(), JobError> {
+        let over = self.list()?.into_iter();
+        let over = over.filter(|(place, _)| matches!(place, Place::Done | Place::Failed));
+        for (place, record) in over.skip(MAX_KEPT) {
+            let path = self.path(place, &record.id);
+            durable::remove(&path).map_err(at(&path))?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether a known job answers a request as it stands.
+fn stays(place: Place, record: &Record, request: &Request, all: &[(Place, Record)]) -> bool {
+    match (place, record.ending.as_ref().map(|ending| ending.state)) {
+        (Place::Waiting, None) | (Place::Running, _) | (_, Some(JobState::Refused)) => true,
+        // The refined mesh in the scan's folder is that of the newest job that is done.
+        (_, Some(JobState::Done)) => {
+            let newest = all.iter().find(|(_, other)| {
+                let state = other.ending.as_ref().map(|ending| ending.state);
+                other.scan == record.scan && state == Some(JobState::Done)
+            });
+            request.has_refined_mesh && newest.is_some_and(|(_, newest)| newest.id == record.id)
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,352 @@
+//! The worker with a child that is a few lines of shell.
+
+use super::{
+    scenes::scan,
+    spool::{Request, Spool},
+    *,
+};
+use std::{
+    collections::BTreeMap,
+    fs,
+    os::unix::fs::PermissionsExt,
+    path::{Path, PathBuf},
+    thread,
+    time::{Duration, Instant},
+};
+
+/// Generous: a busy machine is no fault.
+const GRACE: Duration = Duration::from_secs(60);
+
+/// A data directory with one scan, and a program that does what a test says.
+struct Workbench {
+    root: tempfile::TempDir,
+    scan: PathBuf,
+}
+
+/// What every child begins with: it counts its runs, and knows its folders.
+const BEGIN: &str =
+    "#!/bin/sh\nscan=$2\nout=$4\nhere=$(dirname $0)\necho run >> $here/runs\nmkdir -p $out\n";
+/// A refinement that does its work.
+const REFINE: &str = r#"
+for name in refined.ply refined.glb report.html report.json base.ply; do echo new > $out/$name; done
+echo '{"status":"complete","refined":true,"not_refined_reason":null}'
+"#;
+
+impl Workbench {
+    fn new(script: &str) -> Self {
+        let root = tempfile::tempdir().unwrap();
+        let scan = scan(root.path(), "a");
+        let bench = Workbench { root, scan };
+        bench.become_child(script);
+        bench
+    }
+
+    /// From now on children do this.
+    fn become_child(&self, script: &str) {
+        let next = self.path("next");
+        fs::write(&next, format!("{BEGIN}{script}\n")).unwrap();
+        fs::set_permissions(&next, fs::Permissions::from_mode(0o755)).unwrap();
+        fs::rename(next, self.path("child")).unwrap();
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.root.path().join(name)
+    }
+
+    fn worker(&self) -> WorkerHandle {
+        Worker::spawn(WorkerSetup {
+            data_dir: self.root.path().to_owned(),
+            program: self.path("child"),
+            calibration_dir: self.path("calibration"),
+            params: WorkerParams {
+                grace_secs: 0.5,
+                ..WorkerParams::default()
+            },
+            settings: "x = 1".to_owned(),
+        })
+        .unwrap()
+    }
+
+    fn n_runs(&self) -> usize {
+        fs::read_to_string(self.path("runs")).map_or(0, |runs| runs.lines().count())
+    }
+
+    /// Every file of the scan's folder.
+    fn contents(&self) -> BTreeMap<PathBuf, Vec<u8>> {
+        let mut found = BTreeMap::new();
+        let mut folders = vec![self.scan.clone()];
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                match path.is_dir() {
+                    true => folders.push(path),
+                    false => drop(found.insert(path.clone(), fs::read(path).unwrap())),
+                }
+            }
+        }
+        found
+    }
+}
+
+/// Looks again and again until there is an answer.
+fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + GRACE;
+    loop {
+        if let Some(answer) = look() {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn end_of(worker: &WorkerHandle, id: &JobId) -> Job {
+    poll("the end of the job", || {
+        let job = worker.list().into_iter().find(|job| job.id == *id)?;
+        job.state.is_ended().then_some(job)
+    })
+}
+
+#[test]
+fn a_refinement_is_delivered_when_it_is_whole_and_touches_nothing_else() {
+    let bench = Workbench::new(&format!(
+        "echo '{{\"progress\":{{\"round\":[1,4],\"step\":2,\"energy_share\":0.5,\"secs_left\":null}}}}'\n\
+         echo half > $out/refined.ply\n\
+         while [ ! -e $here/go ]; do sleep 0.02; done\n{REFINE}"
+    ));
+    fs::write(bench.scan.join("report.json"), "of the scan").unwrap();
+    let before = bench.contents();
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let progress = poll("progress", || worker.status().running?.progress);
+    assert_eq!((progress.round, progress.step), ((1, 4), 2));
+    assert!(!bench.scan.join("refined.ply").exists());
+    assert_eq!(worker.submit(&bench.scan).unwrap().id, job.id);
+
+    fs::write(bench.path("go"), "").unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!((ended.state, ended.progress), (JobState::Done, None));
+    assert_eq!(worker.of_scan("a"), Some(ended));
+    assert_eq!(worker.status(), WorkerStatus::default());
+    let mut expected = before;
+    let kept = expected[&bench.scan.join("report.json")].clone();
+    expected.insert(bench.scan.join("capture-report.json"), kept);
+    for name in ["refined.ply", "refined.glb", "report.html", "report.json"] {
+        expected.insert(bench.scan.join(name), b"new\n".to_vec());
+    }
+    assert_eq!(bench.contents(), expected);
+
+    // What is done is not done again.
+    assert_eq!(worker.submit(&bench.scan).unwrap().state, JobState::Done);
+    assert_eq!(bench.n_runs(), 1);
+    worker.stop();
+}
+
+#[test]
+fn a_child_that_is_killed_is_repeated_three_times() {
+    let bench = Workbench::new("echo half > $out/refined.ply\necho about to die >&2\nkill -9 $$");
+    let before = bench.contents();
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!(ended.state, JobState::Failed);
+    let reason = "killed by signal SIGKILL: about to die";
+    assert_eq!(ended.failures, [reason; 4]);
+    assert_eq!(ended.message.as_deref(), Some(reason));
+    assert_eq!(bench.n_runs(), 4);
+    assert_eq!(bench.contents(), before);
+
+    // Asked for again it begins anew.
+    bench.become_child(REFINE);
+    worker.submit(&bench.scan).unwrap();
+    poll("the end", || {
+        (worker.of_scan("a")?.state == JobState::Done).then_some(())
+    });
+    worker.stop();
+}
+
+#[test]
+fn a_child_that_dies_twice_succeeds_at_last() {
+    let bench = Workbench::new(&format!(
+        "if [ $(wc -l < $here/runs) -lt 3 ]; then exit 1; fi\n{REFINE}"
+    ));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!(ended.state, JobState::Done);
+    assert_eq!(ended.failures, ["exit code 1", "exit code 1"]);
+    worker.stop();
+}
+
+#[test]
+fn endings_that_another_attempt_cannot_mend_are_final() {
+    for (script, state, message) in [
+        (
+            "echo '{\"refined\":false,\"not_refined_reason\":\"too dark\"}'",
+            JobState::Refused,
+            "too dark",
+        ),
+        (
+            "echo 'error: refine.n_rounds is 0' >&2; exit 2",
+            JobState::Failed,
+            "bad usage or configuration: error: refine.n_rounds is 0",
+        ),
+    ] {
+        let bench = Workbench::new(script);
+        let before = bench.contents();
+        let worker = bench.worker();
+        let job = worker.submit(&bench.scan).unwrap();
+        let ended = end_of(&worker, &job.id);
+        assert_eq!(
+            (ended.state, ended.message.as_deref()),
+            (state, Some(message))
+        );
+        assert_eq!((bench.n_runs(), bench.contents()), (1, before));
+        worker.stop();
+    }
+}
+
+#[test]
+fn a_running_job_is_cancelled_even_if_the_child_does_not_listen() {
+    for trap in ["trap 'exit 130' TERM", "trap '' TERM"] {
+        let bench = Workbench::new(&format!(
+            "{trap}\necho up > $here/up\nwhile :; do sleep 0.02; done"
+        ));
+        let before = bench.contents();
+        let worker = bench.worker();
+        let job = worker.submit(&bench.scan).unwrap();
+        poll("the child", || bench.path("up").exists().then_some(()));
+        worker.cancel(&job.id).unwrap();
+        poll("the end of the child", || {
+            worker.status().running.is_none().then_some(())
+        });
+        let ended = end_of(&worker, &job.id);
+        assert_eq!(
+            (ended.state, ended.failures.len()),
+            (JobState::Cancelled, 0)
+        );
+        assert!(matches!(
+            worker.cancel(&job.id),
+            Err(JobError::Ended {
+                state: JobState::Cancelled,
+                ..
+            })
+        ));
+        worker.stop();
+        assert_eq!((bench.n_runs(), bench.contents()), (1, before));
+    }
+}
+
+#[test]
+fn a_worker_that_stops_puts_its_job_back_and_the_next_one_takes_it_up() {
+    let bench = Workbench::new("echo up > $here/up\nwhile :; do sleep 0.02; done");
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    poll("the child", || bench.path("up").exists().then_some(()));
+    worker.stop();
+    assert!(matches!(
+        worker.submit(&bench.scan),
+        Err(JobError::Stopping)
+    ));
+    drop(worker);
+
+    bench.become_child(REFINE);
+    let worker = bench.worker();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    worker.stop();
+}
+
+#[test]
+fn what_ran_or_landed_when_the_daemon_was_killed_is_taken_up() {
+    for was_landing in [false, true] {
+        let bench = Workbench::new(REFINE);
+        let id = inputs::job_id(&bench.scan, "x = 1").unwrap();
+        let spool = Spool::open(bench.root.path(), 3).unwrap();
+        let request = Request {
+            id: id.clone(),
+            scan: "a",
+            settings: "x = 1",
+            now_unix_ms: 1,
+            has_refined_mesh: false,
+        };
+        spool.submit(&request).unwrap();
+        let claimed = spool.claim().unwrap().unwrap();
+        let out = spool.output_folder(&claimed).unwrap();
+        fs::create_dir(&out).unwrap();
+        fs::write(out.join("refined.ply"), "of the first attempt").unwrap();
+        if was_landing {
+            spool.begin_landing(&id).unwrap();
+        }
+        drop(spool);
+
+        let worker = bench.worker();
+        let ended = end_of(&worker, &id);
+        assert_eq!(ended.state, JobState::Done);
+        let refined = fs::read_to_string(bench.scan.join("refined.ply")).unwrap();
+        let (expected, n_runs, n_failures) = match was_landing {
+            true => ("of the first attempt", 0, 0),
+            false => ("new\n", 1, 1),
+        };
+        assert_eq!((refined.as_str(), bench.n_runs()), (expected, n_runs));
+        assert_eq!(ended.failures.len(), n_failures);
+        worker.stop();
+    }
+}
+
+#[test]
+fn the_result_of_a_scan_that_has_changed_is_dropped() {
+    let bench = Workbench::new(&format!("echo more > $scan/snapshots/000/ir.png\n{REFINE}"));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!(ended.state, JobState::Superseded);
+    assert_eq!(ended.message.as_deref(), Some("the scan has changed since"));
+    assert!(!bench.scan.join("refined.ply").exists());
+    worker.stop();
+}
+
+#[test]
+fn other_settings_are_another_job_that_takes_the_waiting_one_s_place() {
+    let bench = Workbench::new(&format!(
+        "while [ ! -e $here/go ]; do sleep 0.02; done\ncp $8 $here/settings\n{REFINE}"
+    ));
+    let worker = bench.worker();
+    let running = worker.submit(&bench.scan).unwrap();
+    poll("the child", || worker.status().running.map(|_| ()));
+    worker.set_settings("x = 2");
+    let waiting = worker.submit(&bench.scan).unwrap();
+    worker.set_settings("x = 3");
+    let newest = worker.submit(&bench.scan).unwrap();
+    fs::write(bench.path("go"), "").unwrap();
+    for (job, state) in [
+        (running, JobState::Done),
+        (waiting, JobState::Superseded),
+        (newest, JobState::Done),
+    ] {
+        assert_eq!(end_of(&worker, &job.id).state, state);
+    }
+    assert_eq!(bench.n_runs(), 2);
+    let settings = fs::read_to_string(bench.path("settings")).unwrap();
+    assert_eq!(settings, "x = 3");
+    worker.stop();
+}
+
+#[test]
+fn what_is_no_scan_of_the_data_directory_is_refused() {
+    let bench = Workbench::new(REFINE);
+    let worker = bench.worker();
+    let elsewhere = tempfile::tempdir().unwrap();
+    for path in [
+        elsewhere.path(),
+        Path::new("/"),
+        &bench.scan.join(".."),
+        &bench.scan.join("snapshots"),
+        &bench.path("sessions/none"),
+    ] {
+        let error = worker.submit(path).unwrap_err();
+        assert!(matches!(error, JobError::NoScan { .. }), "{error}");
+    }
+    assert!(worker.list().is_empty());
+    worker.stop();
+}

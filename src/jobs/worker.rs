@@ -1,0 +1,217 @@
+//! The thread that runs jobs, and what the rest of the daemon holds of it.
+
+use super::{
+    Job, JobError, JobId, JobProgress, JobState, WorkerParams,
+    inputs::job_id,
+    spool::{self, Place, Request, Spool},
+};
+use crate::pipeline::REFINED_PLY;
+use std::{
+    path::{Path, PathBuf},
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    thread::{self, JoinHandle},
+    time::{SystemTime, UNIX_EPOCH},
+};
+
+/// What a worker is started with.
+#[derive(Clone, Debug)]
+pub struct WorkerSetup {
+    /// The data directory: scans in `sessions`, jobs in `spool`.
+    pub data_dir: PathBuf,
+    /// The program that is run as the child, `std::env::current_exe()` but in tests.
+    pub program: PathBuf,
+    /// Where calibrations named by serial number lie, for scans that hold none.
+    pub calibration_dir: PathBuf,
+    /// Priority, limits, retries; must have been validated.
+    pub params: WorkerParams,
+    /// The whole configuration as TOML, given to the child and part of a job's name.
+    pub settings: String,
+}
+
+/// What the worker is doing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WorkerStatus {
+    /// The job that runs.
+    pub running: Option<Job>,
+    /// How many wait.
+    pub n_waiting: usize,
+}
+
+/// The worker.
+pub struct Worker;
+
+impl Worker {
+    /// Opens the spool, takes up what was left there, and starts the thread.
+    ///
+    /// # Errors
+    /// If another process works on the spool, or the system refuses.
+    pub fn spawn(setup: WorkerSetup) -> Result<WorkerHandle, JobError> {
+        let spool = Spool::open(&setup.data_dir, setup.params.max_retries)?;
+        let board = Board {
+            settings: Arc::from(setup.settings.as_str()),
+            ..Board::default()
+        };
+        let shared = Arc::new(Shared {
+            setup,
+            spool: Mutex::new(spool),
+            board: Mutex::new(board),
+            progress: Arc::default(),
+            news: Condvar::new(),
+        });
+        shared.refresh();
+        let of_thread = shared.clone();
+        let thread = thread::Builder::new()
+            .name("jobs".to_owned())
+            .spawn(move || of_thread.work())
+            .map_err(spool::at(&shared.setup.data_dir))?;
+        Ok(WorkerHandle {
+            shared,
+            thread: Arc::new(Mutex::new(Some(thread))),
+        })
+    }
+}
+
+/// Gives jobs to the worker and looks at them, from any thread.
+#[derive(Clone)]
+pub struct WorkerHandle {
+    shared: Arc<Shared>,
+    thread: Arc<Mutex<Option<JoinHandle<()>>>>,
+}
+
+impl WorkerHandle {
+    /// What the worker is doing; returns at once.
+    pub fn status(&self) -> WorkerStatus {
+        let jobs = self.list();
+        let n_waiting = jobs.iter().filter(|job| job.state == JobState::Waiting);
+        WorkerStatus {
+            n_waiting: n_waiting.count(),
+            running: jobs.into_iter().find(|job| job.state == JobState::Running),
+        }
+    }
+
+    /// Asks for the refinement of a scan's folder. The same scan with the same settings is the same job; one whose result stands
+    /// is not run again. Reads the inputs and waits for the disk.
+    ///
+    /// # Errors
+    /// If the folder is no scan that can be refined, the worker is stopping, or the system refuses.
+    pub fn submit(&self, session: &Path) -> Result<Job, JobError> {
+        self.shared.submit(session)
+    }
+
+    /// Ends a waiting or running job. Waits for the disk, but not for a running child.
+    ///
+    /// # Errors
+    /// If there is no such job, it is over, or the system refuses.
+    pub fn cancel(&self, id: &JobId) -> Result<(), JobError> {
+        let place = lock(&self.shared.spool).cancel(id)?;
+        self.shared.refresh();
+        if place == Place::Running {
+            lock(&self.shared.board).cancelled = Some(id.clone());
+        }
+        Ok(())
+    }
+
+    /// All jobs, the newest first; returns at once.
+    pub fn list(&self) -> Vec<Job> {
+        let mut jobs = lock(&self.shared.board).jobs.clone();
+        let running = |job: &&mut Job| job.state == JobState::Running;
+        if let Some(job) = jobs.iter_mut().find(running) {
+            job.progress = *lock(&self.shared.progress);
+        }
+        jobs
+    }
+
+    /// The newest job of a scan.
+    pub fn of_scan(&self, scan: &str) -> Option<Job> {
+        self.list().into_iter().find(|job| job.scan == scan)
+    }
+
+    /// From now on jobs are made with these settings.
+    pub fn set_settings(&self, settings: &str) {
+        lock(&self.shared.board).settings = Arc::from(settings);
+    }
+
+    /// Stops the child in order, puts its job back among the waiting, and waits for the thread.
+    pub fn stop(&self) {
+        lock(&self.shared.board).is_stopping = true;
+        self.shared.news.notify_all();
+        let thread = lock(&self.thread).take();
+        if thread.is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the worker ended by a fault of the program");
+        }
+    }
+}
+
+/// What the thread and the handles share.
+pub(super) struct Shared {
+    pub setup: WorkerSetup,
+    /// Held while the disk is written.
+    pub spool: Mutex<Spool>,
+    /// Held for moments only.
+    pub board: Mutex<Board>,
+    /// How far the running job is.
+    pub progress: Arc<Mutex<Option<JobProgress>>>,
+    /// Tells the thread that the board has changed.
+    pub news: Condvar,
+}
+
+/// What is shown and asked, newest only.
+#[derive(Default)]
+pub(super) struct Board {
+    pub jobs: Vec<Job>,
+    pub settings: Arc<str>,
+    /// The running job that is to end.
+    pub cancelled: Option<JobId>,
+    pub has_news: bool,
+    pub is_stopping: bool,
+}
+
+/// Locks what a panic cannot have left half done: records are on the disk, all else is plain values.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn submit(&self, session: &Path) -> Result<Job, JobError> {
+        let sessions = self.setup.data_dir.join("sessions");
+        let scan = session.file_name().and_then(|name| name.to_str());
+        let scan = scan.filter(|name| sessions.join(name) == session && session.is_dir());
+        let scan = scan.ok_or_else(|| JobError::NoScan {
+            session: session.to_owned(),
+            sessions: sessions.clone(),
+        })?;
+        let settings = match &*lock(&self.board) {
+            board if board.is_stopping => return Err(JobError::Stopping),
+            board => board.settings.clone(),
+        };
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
+        let request = Request {
+            id: job_id(session, &settings)?,
+            scan,
+            settings: &settings,
+            now_unix_ms: since_1970.map_or(0, |time| time.as_millis() as u64),
+            has_refined_mesh: session.join(REFINED_PLY).is_file(),
+        };
+        let submitted = lock(&self.spool).submit(&request);
+        self.refresh();
+        self.announce();
+        submitted.map(|(place, record)| record.job(place))
+    }
+
+    /// Puts on the board what the disk holds.
+    pub fn refresh(&self) {
+        match lock(&self.spool).list() {
+            Ok(records) => {
+                let jobs = records.iter().map(|(place, record)| record.job(*place));
+                lock(&self.board).jobs = jobs.collect();
+            }
+            Err(error) => tracing::error!("the spool cannot be read: {error}"),
+        }
+    }
+
+    /// Tells the thread that there may be something to do.
+    pub fn announce(&self) {
+        lock(&self.board).has_news = true;
+        self.news.notify_all();
+    }
+}

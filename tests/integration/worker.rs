@@ -1,0 +1,164 @@
+//! The refinement worker with the real program as its child.
+
+use crate::support::{PROGRAM, poll};
+use relief::{
+    config::Config,
+    export::read_ply,
+    jobs::{JobState, Worker, WorkerHandle, WorkerParams, WorkerSetup},
+};
+use serde_json::Value;
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+/// A data directory with the demo, fused.
+fn fused_demo() -> (tempfile::TempDir, PathBuf) {
+    let root = tempfile::tempdir().unwrap();
+    let scan = root.path().join("sessions/demo");
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
+    let output = Command::new(PROGRAM)
+        .arg("replay")
+        .arg(demo)
+        .arg("--out")
+        .arg(&scan)
+        .args(["--no-refine", "--json"])
+        .output()
+        .unwrap();
+    assert!(output.status.success());
+    (root, scan)
+}
+
+/// Fewer rounds on a coarser mesh than by default: what is tested is the worker.
+fn settings() -> String {
+    let mut config = Config::default();
+    config.refine.edge_length_m = 0.002;
+    config.refine.n_rounds = 2;
+    toml::to_string(&config).unwrap()
+}
+
+fn worker(data_dir: &Path, params: WorkerParams) -> WorkerHandle {
+    Worker::spawn(WorkerSetup {
+        data_dir: data_dir.to_owned(),
+        program: PROGRAM.into(),
+        calibration_dir: data_dir.join("calibration"),
+        params,
+        settings: settings(),
+    })
+    .unwrap()
+}
+
+/// The process that refines a scan.
+fn child_of(scan: &Path) -> Option<PathBuf> {
+    let scan = scan.to_str().unwrap();
+    let mut processes = fs::read_dir("/proc").unwrap().filter_map(Result::ok);
+    processes.find_map(|process| {
+        let command = fs::read_to_string(process.path().join("cmdline")).ok()?;
+        let arguments: Vec<&str> = command.split('\0').collect();
+        let is_it = arguments.get(1) == Some(&"refine") && arguments.get(2) == Some(&scan);
+        is_it.then(|| process.path())
+    })
+}
+
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_file() {
+            found.insert(path.clone(), fs::read(path).unwrap());
+        }
+    }
+    found
+}
+
+#[test]
+fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
+    let (root, scan) = fused_demo();
+    let before = files(&scan);
+    let images = files(&scan.join("snapshots/000"));
+    let worker = worker(root.path(), WorkerParams::default());
+    let job = worker.submit(&scan).unwrap();
+    let step = |step: usize| {
+        let progress = worker.status().running?.progress?;
+        (progress.step >= step).then_some(progress)
+    };
+    poll("the first step", || step(1));
+    let child = child_of(&scan).expect("the child runs");
+
+    // Priority and limits, as the child has imposed them on itself.
+    let stat = fs::read_to_string(child.join("stat")).unwrap();
+    let after_name = stat.rsplit_once(") ").unwrap().1;
+    assert_eq!(after_name.split(' ').nth(16), Some("10"), "{stat}");
+    let limits = fs::read_to_string(child.join("limits")).unwrap();
+    for (name, value) in [
+        ("Max address space", "8589934592"),
+        ("Max cpu time", "14400"),
+    ] {
+        let line = limits.lines().find(|line| line.starts_with(name)).unwrap();
+        assert!(line.contains(value), "{line}");
+    }
+
+    let pid = child.file_name().unwrap();
+    let killed = Command::new("kill").arg("-9").arg(pid).status().unwrap();
+    assert!(killed.success());
+    let ended = poll("the end", || {
+        let job = worker.of_scan("demo")?;
+        job.state.is_ended().then_some(job)
+    });
+    assert_eq!((ended.id, ended.state), (job.id, JobState::Done));
+    assert_eq!(ended.failures.len(), 1);
+    assert!(ended.failures[0].starts_with("killed by signal SIGKILL"));
+    worker.stop();
+
+    let refined = read_ply(&scan.join("refined.ply")).unwrap();
+    assert!(refined.faces.len() > 1000);
+    let after = files(&scan);
+    for (path, bytes) in &before {
+        if !path
+            .file_name()
+            .unwrap()
+            .to_str()
+            .unwrap()
+            .starts_with("report.")
+        {
+            assert_eq!(after.get(path), Some(bytes), "{}", path.display());
+        }
+    }
+    assert_eq!(files(&scan.join("snapshots/000")), images);
+    assert!(fs::read_dir(&scan).unwrap().all(|entry| {
+        let name = entry.unwrap().file_name();
+        !name.to_str().unwrap().starts_with("refined-")
+    }));
+    // The report names its outputs where they are now.
+    let report: Value = serde_json::from_slice(&after[&scan.join("report.json")]).unwrap();
+    let path = scan.join("refined.ply");
+    assert_eq!(report["refined_mesh"]["path"], path.to_str().unwrap());
+    let outputs = report["outputs"].as_array().unwrap();
+    assert!(outputs.contains(&path.to_str().unwrap().into()));
+    let kept: Value = serde_json::from_slice(&after[&scan.join("capture-report.json")]).unwrap();
+    assert_eq!(kept["refined_mesh"], Value::Null);
+    assert_eq!(kept["frames"]["total"], 48);
+}
+
+#[test]
+fn a_child_that_needs_more_memory_than_it_may_have_fails_and_says_so() {
+    let (root, scan) = fused_demo();
+    let before = files(&scan);
+    let params = WorkerParams {
+        max_memory_mb: 96,
+        max_retries: 1,
+        ..WorkerParams::default()
+    };
+    let worker = worker(root.path(), params);
+    worker.submit(&scan).unwrap();
+    let ended = poll("the end", || {
+        let job = worker.of_scan("demo")?;
+        job.state.is_ended().then_some(job)
+    });
+    worker.stop();
+    assert_eq!(ended.state, JobState::Failed);
+    assert_eq!(ended.failures.len(), 2, "{:?}", ended.failures);
+    assert_eq!(files(&scan), before);
+}
