@@ -1,0 +1,101 @@
+// The buttons. Which of them make sense follows from the state; the daemon has the last word, and its refusal is shown.
+
+import * as api from './api.js';
+
+const UNDO_SECS = 5;
+const SCANNING = ['warming', 'tracking', 'degraded', 'lost', 'relocalising', 'paused', 'snapshotting'];
+const RUNNING = SCANNING.filter((state) => state !== 'paused');
+const HOLDING = ['tracking', 'degraded'];
+/** In which states a button can be pressed. */
+const ALLOWED = {
+  start: ['idle', 'fault'],
+  pause: RUNNING,
+  resume: ['paused'],
+  snapshot: HOLDING,
+  undo: [...HOLDING, 'lost', 'relocalising', 'paused'],
+  reset: SCANNING,
+  stop: SCANNING,
+};
+
+export class Controls {
+  #buttons = Object.fromEntries(
+    ['start', 'pause', 'resume', 'snapshot', 'undo', 'refine', 'reset', 'stop', 'export']
+      .map((name) => [name, document.getElementById(name)]),
+  );
+  #status = null;
+  #lastSession = null;
+  #report;
+
+  /** `on.report(error)` is told of refusals, `on.export()` opens the list of files. */
+  constructor(on) {
+    this.#report = on.report;
+    this.#bind('start', () => api.start());
+    for (const name of ['pause', 'resume', 'snapshot']) this.#bind(name, () => api.command(name));
+    this.#bind('undo', () => api.undo(UNDO_SECS));
+    this.#bind('refine', () => (this.#isScanning() ? api.command('refine') : api.refineSession(this.#lastSession.id)));
+    this.#bind('reset', async () => {
+      const isMeant = await confirmed('Drop the model?', 'All that was scanned since the start is thrown away; the camera goes on.', 'Drop it');
+      if (isMeant) await api.command('reset');
+    });
+    this.#bind('stop', () => api.command('finish'));
+    this.#buttons.export.addEventListener('click', on.export);
+    this.#update();
+  }
+
+  /** `lastSession`: the newest finished scan `{id, …}` or `null`. `isReachable`: whether the daemon answers. */
+  show(status, lastSession, isReachable) {
+    this.#status = isReachable ? status : null;
+    this.#lastSession = lastSession;
+    this.#update();
+  }
+
+  #isScanning() {
+    return SCANNING.includes(this.#status?.state);
+  }
+
+  #update() {
+    const state = this.#status?.state;
+    for (const [name, states] of Object.entries(ALLOWED)) this.#buttons[name].disabled = !states.includes(state);
+    const canRefine = this.#isScanning() ? this.#status.snapshots.accepted > 0 : state === 'idle' && this.#lastSession !== null;
+    this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
+    this.#buttons.export.disabled = this.#lastSession === null;
+    const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';
+    for (const name of ['start', 'pause', 'resume']) this.#exchange(this.#buttons[name], name === shown);
+  }
+
+  /** Hides or shows one of the buttons that share a place; the focus goes on to the one that takes it. */
+  #exchange(button, isShown) {
+    if (button.hidden === !isShown) return;
+    const hadFocus = document.activeElement === button;
+    button.hidden = !isShown;
+    if (hadFocus) requestAnimationFrame(() => document.querySelector('.toolbar .primary:not([hidden])').focus());
+  }
+
+  #bind(name, act) {
+    const button = this.#buttons[name];
+    button.addEventListener('click', async () => {
+      if (button.ariaBusy === 'true') return;
+      button.ariaBusy = 'true';
+      try {
+        await act();
+      } catch (error) {
+        this.#report(error);
+      } finally {
+        button.ariaBusy = 'false';
+      }
+    });
+  }
+}
+
+/** Asks before something is lost; whether it was confirmed. */
+function confirmed(title, text, yes) {
+  const dialog = document.getElementById('confirm');
+  document.getElementById('confirm-title').textContent = title;
+  document.getElementById('confirm-text').textContent = text;
+  document.getElementById('confirm-yes').textContent = yes;
+  dialog.returnValue = 'cancel';
+  dialog.showModal();
+  return new Promise((resolve) => {
+    dialog.addEventListener('close', () => resolve(dialog.returnValue === 'yes'), { once: true });
+  });
+}
