@@ -177,6 +177,7 @@ export class StandInDaemon {
     const paused = Math.floor(scan?.pausedFrames ?? 0);
     const lost = Math.floor(scan?.lostFrames ?? 0);
     const produced = this.frameId;
+    const dropped = Math.floor((produced - paused) / 90);
     const inFlight = produced > 2 ? 2 : 0;
     const reasons = { degraded: 'too_fast', lost: 'too_fast' };
     const accepted = scan?.snapshots.filter((snapshot) => snapshot.accepted).length ?? 0;
@@ -184,7 +185,7 @@ export class StandInDaemon {
       state, reason: reasons[state] ?? null, advice: ADVICE[state],
       phase: scan ? (scan.drainUntil ? 'meshing' : 'capturing') : 'idle',
       scan: scan && { id: scan.id, started_unix_ms: scan.started, device: { serial: 'stand-in-1', sensor: this.#sensor } },
-      frames: { produced, fused: Math.max(0, produced - paused - lost - inFlight - Math.floor(produced / 90)), lost, without_depth: 0, paused, damaged: 0, dropped: Math.floor(produced / 90), in_flight: inFlight },
+      frames: { produced, fused: Math.max(0, produced - paused - lost - inFlight - dropped), lost, without_depth: 0, paused, damaged: 0, dropped, in_flight: inFlight },
       fps: scan ? 29.9 : 0, fitness: this.#fitness, ir_saturated_share: scan ? 0.011 : null,
       snapshots: { accepted, rejected: (scan?.snapshots.length ?? 0) - accepted, wanted: 36 },
       kinect1_sequence: this.#sequence, refinement: this.#refinementStatus,

@@ -75,7 +75,7 @@ function showStatus(next) {
   health.show(next);
   stage?.follow(next);
   followSessions(scanId);
-  controls.show(status, exported.newest, true);
+  showControls();
 }
 
 function deviceName({ sensor, serial }) {
@@ -98,12 +98,20 @@ function showConnection(state) {
   const banner = at('connection');
   banner.hidden = state === 'open';
   banner.textContent = CONNECTION_WORDS[state] ?? '';
-  if (state === 'lost') controls.show(status, exported.newest, false);
+  showControls();
   if (state === 'open') sessionsKey = '';
 }
 
+function isReachable() {
+  return ['open', 'polling'].includes(document.body.dataset.connection);
+}
+
+function showControls() {
+  controls.show(isReachable() ? status : null, exported.newest);
+}
+
 async function followPath() {
-  if (!stage || document.hidden || !status?.scan || document.body.dataset.connection === 'lost') return;
+  if (!stage || document.hidden || !status?.scan || !isReachable()) return;
   try {
     stage.showPath(await api.path());
   } catch {
@@ -118,7 +126,7 @@ async function followSessions(scanId) {
   sessionsKey = key;
   try {
     await exported.refresh(scanId);
-    controls.show(status, exported.newest, true);
+    showControls();
     stage?.offer(exported.newestRefined);
   } catch {
     sessionsKey = '';

@@ -42,9 +42,9 @@ export class Controls {
     this.#update();
   }
 
-  /** `lastSession`: the newest finished scan `{id, …}` or `null`. `isReachable`: whether the daemon answers. */
-  show(status, lastSession, isReachable) {
-    this.#status = isReachable ? status : null;
+  /** `status`: `null` while the daemon does not answer. `lastSession`: the newest finished scan `{id, …}` or `null`. */
+  show(status, lastSession) {
+    this.#status = status;
     this.#lastSession = lastSession;
     this.#update();
   }
@@ -55,20 +55,17 @@ export class Controls {
 
   #update() {
     const state = this.#status?.state;
+    // Before anything is disabled or hidden, which takes the focus away.
+    const focused = document.activeElement;
     for (const [name, states] of Object.entries(ALLOWED)) this.#buttons[name].disabled = !states.includes(state);
     const canRefine = this.#isScanning() ? this.#status.snapshots.accepted > 0 : state === 'idle' && this.#lastSession !== null;
     this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
-    this.#buttons.export.disabled = this.#lastSession === null;
+    this.#buttons.export.disabled = !this.#status || this.#lastSession === null;
+    if (!state) return;
     const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';
-    for (const name of ['start', 'pause', 'resume']) this.#exchange(this.#buttons[name], name === shown);
-  }
-
-  /** Hides or shows one of the buttons that share a place; the focus goes on to the one that takes it. */
-  #exchange(button, isShown) {
-    if (button.hidden === !isShown) return;
-    const hadFocus = document.activeElement === button;
-    button.hidden = !isShown;
-    if (hadFocus) requestAnimationFrame(() => document.querySelector('.toolbar .primary:not([hidden])').focus());
+    for (const name of ['start', 'pause', 'resume']) this.#buttons[name].hidden = name !== shown;
+    // Three buttons share a place: the focus goes on to the one that takes it.
+    if (focused?.hidden && focused.matches('.primary')) this.#buttons[shown].focus();
   }
 
   #bind(name, act) {

@@ -48,7 +48,7 @@ export class Fitness {
 
 function judge(fitness) {
   if (fitness === null) return ['none', 'not tracking'];
-  if (fitness < WEAK) return ['bad', 'about to be lost: slow down, go back'];
-  if (fitness < FAIR) return ['weak', 'weak: move slowly, keep relief in view'];
+  if (fitness < WEAK) return ['bad', 'about to be lost'];
+  if (fitness < FAIR) return ['weak', 'weak, move slowly'];
   return ['good', 'holds firmly'];
 }

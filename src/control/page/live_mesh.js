@@ -23,7 +23,7 @@ export class LiveMesh {
   #restUntil = 0;
   #settledTimer = 0;
 
-  /** `onShown({revision, nFaces, lod})` after each mesh that is shown. */
+  /** `onShown({revision, nFaces, lod, coverage})` after each mesh that is shown; `coverage` is a share. */
   constructor(view, onShown) {
     this.#view = view;
     this.#surface = view.surfaces.live;
@@ -94,7 +94,7 @@ export class LiveMesh {
     }
     this.#revision = decoded.revision;
     this.#showBest();
-    this.onShown({ revision: decoded.revision, nFaces: decoded.faces.length / 3, lod });
+    this.onShown({ revision: decoded.revision, nFaces: decoded.faces.length / 3, lod, coverage: meanAmount(decoded) });
   }
 
   #fetchFull() {
@@ -108,4 +108,8 @@ export class LiveMesh {
     this.#surface.show(best);
     this.#view.request();
   }
+}
+
+function meanAmount({ amount }) {
+  return amount.length === 0 ? 0 : amount.reduce((sum, value) => sum + value, 0) / (255 * amount.length);
 }

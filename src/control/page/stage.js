@@ -29,8 +29,9 @@ export class Stage {
       notice.textContent = text;
       notice.hidden = text === '';
     });
-    this.#live = new LiveMesh(this.#view, ({ revision, nFaces, lod }) => {
-      Object.assign(this.#section.dataset, { revision, faces: nFaces, lod });
+    this.#live = new LiveMesh(this.#view, ({ revision, nFaces, lod, coverage }) => {
+      Object.assign(this.#section.dataset, { revision, faces: nFaces, lod, coverage: coverage.toFixed(3) });
+      document.getElementById('coverage-share').textContent = `${Math.round(100 * coverage)} %`;
     });
     this.#compare = new Compare(this.#view);
     this.#view.onMoving = (isMoving) => { this.#live.moving = isMoving; };
@@ -59,6 +60,7 @@ export class Stage {
   /** Forgets the model: another scan began. */
   clear() {
     this.#live.clear();
+    document.getElementById('coverage-share').textContent = '';
     this.#forgetCamera();
     if (this.#view.mode !== 'live') this.#switch('live');
   }
