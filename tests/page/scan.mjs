@@ -50,7 +50,7 @@ export class StandInDaemon {
   start() {
     if (this.#scan) throw new Refused('already_scanning', 'a scan is going on');
     const id = `${new Date().toISOString().replace(/[-:]|\.\d+/g, '')}-${(this.sessions.length + 0x4f2a).toString(16)}`;
-    this.#scan = { id, started: Date.now(), secs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0, isCounted: true };
+    this.#scan = { id, started: Date.now(), secs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0 };
     return id;
   }
 
@@ -63,7 +63,7 @@ export class StandInDaemon {
     } else if (name === 'resume') scan.isPaused = false;
     else if (name === 'snapshot') this.#snapshot(true);
     else if (name === 'undo') scan.secs = Math.max(0, scan.secs - 1.5);
-    else if (name === 'reset') Object.assign(scan, { secs: 0, snapshots: [], revisionsBefore: this.mesh?.revision ?? 0 });
+    else if (name === 'reset') Object.assign(scan, { secs: 0, snapshots: [], mesh: null, revisionsBefore: this.mesh?.revision ?? 0 });
     else if (name === 'finish') scan.drainUntil = Date.now() + 1500;
     else if (name === 'abandon') this.#scan = null;
     else if (name !== 'refine') throw new Refused('unknown_command', `there is no command ${name}`);
@@ -123,7 +123,7 @@ export class StandInDaemon {
   }
 
   get frameId() {
-    return Math.floor(((this.#scan?.secs ?? 0) * FRAMES_PER_SEC) + (this.#scan?.pausedFrames ?? 0));
+    return Math.floor((this.#scan?.secs ?? 0) * FRAMES_PER_SEC) + Math.floor(this.#scan?.pausedFrames ?? 0);
   }
 
   get isLost() {
@@ -149,10 +149,19 @@ export class StandInDaemon {
     return Math.max(0.04, (0.86 + 0.05 * Math.sin(3 * secs)) * fall);
   }
 
+  /** The mesh that was made last; like the daemon's it is made only while somebody asks for it. */
   get mesh() {
-    if (!this.#scan || this.#scan.secs < 0.8) return null;
+    return this.#scan?.mesh ?? null;
+  }
+
+  /** Makes a mesh for who asks, if one can be. */
+  lookAtMesh() {
+    const scan = this.#scan;
+    if (!scan || scan.secs < 0.8) return null;
     const side = 170 * this.progress;
-    return { revision: 1 + (this.#scan.revisionsBefore ?? 0) + Math.floor(this.#scan.secs * 2), vertices: Math.round(side * 170), faces: Math.round(2 * side * 170) };
+    const revision = 1 + (scan.revisionsBefore ?? 0) + Math.floor(scan.secs * 2);
+    scan.mesh = { revision, vertices: Math.round(side * 170), faces: Math.round(2 * side * 170) };
+    return scan.mesh;
   }
 
   get #sequence() {

@@ -12,7 +12,10 @@ import { meshBytes, pathPose, poseMessage, previewMessage } from './scan_model.m
 
 const PAGE = new URL('../../src/control/page/', import.meta.url);
 const TYPES = { html: 'text/html; charset=utf-8', js: 'text/javascript', css: 'text/css', svg: 'image/svg+xml', three: 'text/plain' };
-const HEADERS = { 'Content-Security-Policy': "default-src 'self'", 'X-Content-Type-Options': 'nosniff' };
+const HEADERS = {
+  'Content-Security-Policy': "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+  'X-Content-Type-Options': 'nosniff',
+};
 const SIDES = { preview: 170, full: 450 };
 const COMMAND = /^\/api\/v1\/scan\/(pause|resume|snapshot|undo|refine|reset|finish|abandon)$/;
 const SESSION_MESH = /^\/api\/v1\/sessions\/([^/]+)\/mesh$/;
@@ -76,8 +79,11 @@ async function answer(daemon, assets, request, response) {
     '/api/v1/scan/path': () => path(daemon),
   };
   if (request.method === 'GET' && reads[pathname]) return send(response, 200, 'application/json', JSON.stringify(reads[pathname]()));
-  if (pathname === '/api/v1/scan/mesh' && daemon.mesh) {
-    const { revision } = daemon.mesh;
+  if (pathname === '/api/v1/scan/mesh') {
+    if (!daemon.scan) throw new Refused('not_scanning', 'no scan is going on');
+    const made = daemon.lookAtMesh();
+    if (!made) throw new Refused('no_mesh', 'there is no mesh yet; one is made while somebody asks');
+    const { revision } = made;
     return mesh(request, response, { side: SIDES[searchParams.get('lod')], progress: daemon.progress, revision });
   }
   if (SESSION_MESH.test(pathname) && finished(pathname.match(SESSION_MESH)[1])) {
@@ -138,7 +144,7 @@ function send(response, status, type, body) {
 }
 
 function refuse(response, error) {
-  const status = error instanceof Refused ? (error.code === 'not_found' ? 404 : 409) : 500;
+  const status = error instanceof Refused ? (['not_found', 'no_mesh'].includes(error.code) ? 404 : 409) : 500;
   const problem = { type: 'about:blank', title: error.message, status, detail: error.message, code: error.code ?? 'internal' };
   send(response, status, 'application/problem+json', JSON.stringify(problem));
 }

@@ -46,15 +46,26 @@ export const cancelJob = (job) => ask('POST', `/jobs/${encodeURIComponent(job)}/
 
 export const snapshotImage = (index) => `${ROOT}/scan/snapshots/${index}.png`;
 export const sessionFile = (id, name) => `${ROOT}/sessions/${encodeURIComponent(id)}/files/${name}`;
-export const liveMesh = (lod) => `${ROOT}/scan/mesh?lod=${lod}`;
 export const sessionMesh = (id, which) => `${ROOT}/sessions/${encodeURIComponent(id)}/mesh?which=${which}`;
 
-/** The bytes of a mesh, or `null` where there is none yet. */
+/** A mesh of a finished scan, as bytes. */
 export async function meshBytes(address) {
-  const response = await fetch(address, { cache: 'no-cache' });
-  if (response.status === 404 || response.status === 204 || response.status === 409) return null;
-  if (!response.ok) throw new Refusal(response.status, parsed(await response.text()) ?? {});
+  const response = await fetch(address);
+  if (!response.ok) throw await refusalOf(response);
   return response.arrayBuffer();
+}
+
+/** The growing mesh unless it is still the one with this tag: `{bytes, tag}`, or `null`. */
+export async function newerMesh(lod, tag) {
+  const headers = tag ? { 'If-None-Match': tag } : {};
+  const response = await fetch(`${ROOT}/scan/mesh?lod=${lod}`, { headers, cache: 'no-store' });
+  if (response.status === 304) return null;
+  if (!response.ok) throw await refusalOf(response);
+  return { bytes: await response.arrayBuffer(), tag: response.headers.get('ETag') };
+}
+
+async function refusalOf(response) {
+  return new Refusal(response.status, parsed(await response.text()) ?? {});
 }
 
 /** Address of the newest-only socket. */

@@ -2,8 +2,9 @@
 
 import * as api from './api.js';
 import { DIVERGING } from './colour.js';
+import { coarseFaces } from './decimate.js';
 import { decodeMesh } from './wire.js';
-import { differenceLimitMm, extentOf, geometryOf } from './surface.js';
+import { differenceLimitMm, extentOf, geometryOf, withFaces } from './surface.js';
 
 const KEY_STEP = 20;
 
@@ -15,6 +16,8 @@ export class Compare {
   #sessionId = null;
   #loaded = null;
   #limitMm = 1;
+  /** Of each surface the fine and the coarse geometry. */
+  #geometries = {};
 
   constructor(view) {
     this.#view = view;
@@ -55,18 +58,25 @@ export class Compare {
     this.#divider.hidden = !isShown;
   }
 
+  set moving(isMoving) {
+    for (const [name, { fine, coarse }] of Object.entries(this.#geometries)) {
+      this.#view.surfaces[name].show(isMoving ? coarse : fine);
+    }
+    this.#view.request();
+  }
+
   async #fetch(id) {
     const [base, difference] = await Promise.all(['base', 'difference'].map((which) => api.meshBytes(api.sessionMesh(id, which))));
-    if (!base || !difference) throw new Error('this scan has no refined mesh');
     if (id !== this.#sessionId) return;
     const refined = decodeMesh(difference);
-    const { surfaces } = this.#view;
-    for (const surface of [surfaces.base, surfaces.refined]) surface.mesh.geometry.dispose();
-    surfaces.base.show(geometryOf(decodeMesh(base), { fine: true }));
-    surfaces.refined.show(geometryOf(refined, { fine: true }));
+    if (refined.faces.length === 0) throw new Error('the refined mesh is empty');
+    const extent = extentOf(refined);
+    for (const { fine, coarse } of Object.values(this.#geometries)) [fine, coarse].forEach((geometry) => geometry.dispose());
+    this.#geometries = { base: twofold(decodeMesh(base), extent), refined: twofold(refined, extent) };
+    this.moving = false;
     this.#limitMm = differenceLimitMm(refined);
-    surfaces.refined.limitMm = this.#limitMm;
-    this.#view.place('refined', extentOf(refined));
+    this.#view.surfaces.refined.limitMm = this.#limitMm;
+    this.#view.place('refined', extent);
     this.#stage.dataset.compared = id;
   }
 
@@ -84,4 +94,9 @@ export class Compare {
     this.#slider.setAttribute('aria-valuetext', `${Math.round(100 * share)} % fused, the rest refined`);
     this.#view.wipe = share;
   }
+}
+
+function twofold(decoded, extent) {
+  const fine = geometryOf(decoded, { fine: true });
+  return { fine, coarse: withFaces(fine, coarseFaces(decoded, extent.radius)) };
 }

@@ -1,4 +1,5 @@
 // The growing mesh: the decimated one while it grows or the view moves, the full one when both are still.
+// The daemon makes a mesh only while somebody asks for one, so this asks as long as a scan is looked at.
 
 import * as api from './api.js';
 import { decodeMesh } from './wire.js';
@@ -13,42 +14,51 @@ const SETTLED_MS = 1500;
 export class LiveMesh {
   #view;
   #surface;
-  #revision = null;
-  #wanted = null;
+  #onShown;
   #preview = null;
   #full = null;
+  #tag = null;
+  #changedAt = 0;
+  #isFullAsked = false;
   #isBusy = false;
   #isMoving = false;
-  #isThere = false;
   #restUntil = 0;
-  #settledTimer = 0;
+  /** Counts the scans and resets: what was asked for before the last one is not shown. */
+  #generation = 0;
 
   /** `onShown({revision, nFaces, lod, coverage})` after each mesh that is shown; `coverage` is a share. */
   constructor(view, onShown) {
     this.#view = view;
     this.#surface = view.surfaces.live;
-    this.onShown = onShown;
+    this.#onShown = onShown;
   }
 
-  /** `mesh` of the status: fetches what is newer than what is shown. */
-  follow(mesh) {
-    this.#isThere = Boolean(mesh);
-    if (!mesh) return;
-    if (this.#wanted !== null && mesh.revision < this.#wanted) this.clear();
-    this.#wanted = mesh.revision;
-    if (this.#isBusy || this.#isCurrent() || performance.now() < this.#restUntil || document.hidden) return;
-    this.#fetch('preview');
+  /** Asks for a newer mesh, if it is time; to be called with every status of a scan. */
+  async follow() {
+    const now = performance.now();
+    if (this.#isBusy || now < this.#restUntil || document.hidden) return;
+    const isSettled = this.#tag !== null && !this.#isFullAsked && !this.#isMoving && now - this.#changedAt > SETTLED_MS;
+    this.#isBusy = true;
+    try {
+      await this.#ask(isSettled ? 'full' : 'preview', this.#generation);
+    } catch (error) {
+      if (error.code === 'no_mesh') this.clear();
+      else if (error.code !== 'not_scanning') console.warn('live mesh:', error.message);
+    } finally {
+      const took = performance.now() - now;
+      this.#restUntil = performance.now() + Math.max(SHORTEST_INTERVAL_MS - took, REST * took);
+      this.#isBusy = false;
+    }
   }
 
   /** Forgets the mesh: another scan, a reset, or a daemon that started anew. */
   clear() {
-    clearTimeout(this.#settledTimer);
+    this.#generation += 1;
     this.#preview?.dispose();
     this.#full?.dispose();
     this.#preview = null;
     this.#full = null;
-    this.#revision = null;
-    this.#wanted = null;
+    this.#tag = null;
     this.#surface.clear();
     this.#view.request();
   }
@@ -58,48 +68,28 @@ export class LiveMesh {
     this.#showBest();
   }
 
-  #isCurrent() {
-    return this.#revision !== null && this.#revision >= this.#wanted;
+  async #ask(lod, generation) {
+    if (lod === 'full') this.#isFullAsked = true;
+    const mesh = await api.newerMesh(lod, lod === 'full' ? null : this.#tag);
+    if (mesh && generation === this.#generation) this.#take(lod, decodeMesh(mesh.bytes), mesh.tag);
   }
 
-  async #fetch(lod) {
-    this.#isBusy = true;
-    const started = performance.now();
-    try {
-      const buffer = await api.meshBytes(api.liveMesh(lod));
-      // Cleared meanwhile: what came belongs to a model that is gone.
-      if (buffer && this.#wanted !== null) this.#take(lod, decodeMesh(buffer));
-    } catch (error) {
-      console.warn('live mesh:', error.message);
-    } finally {
-      const took = performance.now() - started;
-      this.#restUntil = performance.now() + Math.max(SHORTEST_INTERVAL_MS - took, REST * took);
-      this.#isBusy = false;
-    }
-  }
-
-  #take(lod, decoded) {
+  #take(lod, decoded, tag) {
     const geometry = geometryOf(decoded);
+    this.#full?.dispose();
     if (lod === 'full') {
-      this.#full?.dispose();
       this.#full = geometry;
     } else {
       this.#preview?.dispose();
-      this.#full?.dispose();
       this.#preview = geometry;
       this.#full = null;
-      clearTimeout(this.#settledTimer);
-      this.#settledTimer = setTimeout(() => this.#fetchFull(), SETTLED_MS);
+      this.#tag = tag;
+      this.#changedAt = performance.now();
+      this.#isFullAsked = false;
       this.#view.place('live', extentOf(decoded));
     }
-    this.#revision = decoded.revision;
     this.#showBest();
-    this.onShown({ revision: decoded.revision, nFaces: decoded.faces.length / 3, lod, coverage: meanAmount(decoded) });
-  }
-
-  #fetchFull() {
-    if (!this.#isThere || this.#isBusy || this.#isMoving || !this.#isCurrent() || document.hidden) return;
-    this.#fetch('full');
+    this.#onShown({ revision: decoded.revision, nFaces: decoded.faces.length / 3, lod, coverage: meanAmount(decoded) });
   }
 
   #showBest() {

@@ -3,6 +3,8 @@
 import { SEQUENTIAL, blend, drawBar, palette } from './colour.js';
 
 const SATURATED = 255;
+/** Share of the image from which on its brightness is worth a warning; arbitrary. */
+const MUCH = 0.02;
 /** Stripes, so that the mark does not depend on colour. */
 const MARK_COLOURS = palette((value) => (value === 0 ? [232, 93, 66, 255] : [92, 24, 14, 255]));
 const NEAR_TO_FAR = [...SEQUENTIAL].reverse();
@@ -13,6 +15,7 @@ export class Previews {
   #range = document.getElementById('depth-range');
   #saturated = document.getElementById('ir-saturated');
   #marks = document.getElementById('mark-saturated');
+  #newest = {};
   #depthColours = palette((value) => (value === 0 ? [0, 0, 0, 0] : [...blend(NEAR_TO_FAR, (value - 1) / 253), 255]));
   #greys = palette((value) => [value, value, value, 255]);
 
@@ -20,19 +23,28 @@ export class Previews {
     drawBar(document.getElementById('depth-bar'), NEAR_TO_FAR);
   }
 
+  /** Shows an image with the next frame of the screen; one that a newer one overtakes is never drawn. */
   show(preview) {
-    if (preview.kind === 'depth') {
-      this.#depth.draw(preview, this.#depthColours);
-      this.#range.textContent = `${preview.low.toFixed(2)} to ${preview.high.toFixed(2)} m`;
-    } else if (preview.kind === 'ir') {
-      this.#infrared.draw(preview, this.#greys, this.#marks.checked);
-    }
+    if (!this.#newest.depth && !this.#newest.ir) requestAnimationFrame(() => this.#draw());
+    this.#newest[preview.kind] = preview;
+  }
+
+  #draw() {
+    const { depth, ir } = this.#newest;
+    this.#newest = {};
+    if (ir) this.#infrared.draw(ir, this.#greys, this.#marks.checked);
+    if (!depth) return;
+    this.#depth.draw(depth, this.#depthColours);
+    const range = `${depth.low.toFixed(2)} to ${depth.high.toFixed(2)} m`;
+    if (this.#range.textContent !== range) this.#range.textContent = range;
   }
 
   /** The share of pixels at full scale, from the status. */
   showSaturation(share) {
-    this.#saturated.textContent = share === null ? '' : `${(100 * share).toFixed(1)} % too bright`;
-    this.#saturated.dataset.level = share !== null && share > 0.02 ? 'bad' : 'good';
+    const words = share === null ? '' : `${(100 * share).toFixed(1)} % too bright`;
+    if (this.#saturated.textContent === words) return;
+    this.#saturated.textContent = words;
+    this.#saturated.dataset.level = share !== null && share > MUCH ? 'bad' : 'good';
   }
 }
 

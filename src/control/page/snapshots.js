@@ -5,12 +5,14 @@ import { spelled } from './words.js';
 
 /** Images kept in the strip; older ones are still counted. */
 const SHOWN = 60;
+const INTERVAL_MS = 1000;
 
 export class Snapshots {
   #list = document.getElementById('snapshot-list');
   #count = document.getElementById('snapshot-count');
   #dial = document.getElementById('snapshot-dial');
-  #shown = '';
+  #shown = {};
+  #askAgainAt = 0;
 
   /** `{accepted, rejected, wanted}` of the status; the list is fetched when the counts change. */
   async follow(scanId, { accepted, rejected, wanted }) {
@@ -20,18 +22,20 @@ export class Snapshots {
     this.#dial.value = Math.min(accepted, wanted);
     this.#count.textContent = accepted + rejected === 0 ? 'none yet' : `${accepted} of ${wanted}` + (rejected ? `, ${rejected} rejected` : '');
     this.#count.dataset.accepted = accepted;
-    const wish = `${scanId}/${accepted}/${rejected}`;
-    if (wish === this.#shown) return;
-    this.#shown = wish;
+    // The daemon makes the list only while somebody asks, so the first answer may be an old one.
+    const isShown = this.#shown.scanId === scanId && this.#shown.accepted === accepted && this.#shown.rejected === rejected;
+    if (isShown || performance.now() < this.#askAgainAt) return;
+    this.#askAgainAt = performance.now() + INTERVAL_MS;
     try {
       this.#fill(scanId, await api.snapshots());
-    } catch {
-      // Asked again with the next status.
-      this.#shown = '';
+    } catch (error) {
+      if (error.code !== 'not_scanning') console.warn('shading images:', error.message);
     }
   }
 
   #fill(scanId, snapshots) {
+    const accepted = snapshots.filter((snapshot) => snapshot.accepted).length;
+    this.#shown = { scanId, accepted, rejected: snapshots.length - accepted };
     const wasAtEnd = this.#list.scrollWidth - this.#list.scrollLeft - this.#list.clientWidth < 40;
     const known = new Map([...this.#list.children].map((item) => [item.dataset.key, item]));
     const items = snapshots.slice(-SHOWN).map((snapshot) => {

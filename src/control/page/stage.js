@@ -34,7 +34,10 @@ export class Stage {
       document.getElementById('coverage-share').textContent = `${Math.round(100 * coverage)} %`;
     });
     this.#compare = new Compare(this.#view);
-    this.#view.onMoving = (isMoving) => { this.#live.moving = isMoving; };
+    this.#view.onMoving = (isMoving) => {
+      this.#live.moving = isMoving;
+      this.#compare.moving = isMoving;
+    };
     this.#listen();
     this.#paint();
   }
@@ -50,11 +53,11 @@ export class Stage {
   }
 
   /** The newest status of the daemon. */
-  follow({ scan, mesh }) {
+  follow({ scan }) {
     if (scan) this.#view.markers.sensor = scan.device.sensor;
     else if (this.#hasScan) this.#forgetCamera();
     this.#hasScan = Boolean(scan);
-    this.#live.follow(mesh);
+    if (scan && this.#view.mode === 'live') this.#live.follow();
   }
 
   /** Forgets the model: another scan began. */

@@ -118,6 +118,14 @@ export function geometryOf(decoded, { fine = false } = {}) {
   return geometry;
 }
 
+/** The same vertices with other faces; the buffers of the vertices are shared. */
+export function withFaces(geometry, faces) {
+  const coarse = new BufferGeometry();
+  for (const name of ['position', 'amount', 'normal']) coarse.setAttribute(name, geometry.getAttribute(name));
+  coarse.setIndex(new BufferAttribute(faces, 1));
+  return coarse;
+}
+
 /** `{centre, radius}` of a sphere that holds nine tenths of the vertices, or `null` of a mesh without any. */
 export function extentOf({ positions }) {
   const nVertices = positions.length / 3;
