@@ -44,8 +44,10 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
   });
 
   await t.test('tracks, and the mesh and its coverage grow', async () => {
+    await page.getByTestId('label').fill('Medallion');
     await button('start').click();
     await state(page, ...SCANNING);
+    assert.match(await page.getByTestId('device').innerText(), /^Medallion · Kinect/);
     const faces = await rises(page, STAGE, 'faces', 0);
     const coverage = Number(await page.locator(STAGE).getAttribute('data-coverage'));
     await rises(page, STAGE, 'faces', faces);
@@ -152,7 +154,9 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
     const [download] = await Promise.all([page.waitForEvent('download'), links.and(page.locator('[data-file="trajectory.txt"]')).click()]);
     assert.match(download.suggestedFilename(), /trajectory\.txt$/);
     assert.equal(await download.failure(), null);
-    await page.keyboard.press('Escape');
+    assert.match(await page.getByTestId('export-session').locator('option').first().innerText(), /^Medallion \(/);
+    await page.getByTestId('export-show').click();
+    await page.locator(`${STAGE}[data-mode=compare]`).waitFor();
   });
 
   assertClean(opened);

@@ -47,10 +47,10 @@ export class StandInDaemon {
     return this.#scan;
   }
 
-  start() {
+  start(label) {
     if (this.#scan) throw new Refused('already_scanning', 'a scan is going on');
     const id = `${new Date().toISOString().replace(/[-:]|\.\d+/g, '')}-${(this.sessions.length + 0x4f2a).toString(16)}`;
-    this.#scan = { id, started: Date.now(), secs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0 };
+    this.#scan = { id, label, started: Date.now(), secs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0 };
     return id;
   }
 
@@ -99,7 +99,7 @@ export class StandInDaemon {
   }
 
   #finish() {
-    const session = { id: this.#scan.id, label: null, started_unix_ms: this.#scan.started, files: [...SCANNED_FILES] };
+    const session = { id: this.#scan.id, label: this.#scan.label, started_unix_ms: this.#scan.started, files: [...SCANNED_FILES] };
     this.sessions.push(session);
     this.#scan = null;
     this.refine(session);
@@ -193,7 +193,7 @@ export class StandInDaemon {
     return {
       state, reason: reasons[state] ?? null, advice: ADVICE[state],
       phase: scan ? (scan.drainUntil ? 'meshing' : 'capturing') : 'idle',
-      scan: scan && { id: scan.id, started_unix_ms: scan.started, device: { serial: 'stand-in-1', sensor: this.#sensor } },
+      scan: scan && { id: scan.id, label: scan.label, started_unix_ms: scan.started, device: { serial: 'stand-in-1', sensor: this.#sensor } },
       frames: { produced, fused: Math.max(0, produced - paused - lost - inFlight - dropped), lost, without_depth: 0, paused, damaged: 0, dropped, in_flight: inFlight },
       fps: scan ? 29.9 : 0, fitness: this.#fitness, ir_saturated_share: scan ? 0.011 : null,
       snapshots: { accepted, rejected: (scan?.snapshots.length ?? 0) - accepted, wanted: 36 },

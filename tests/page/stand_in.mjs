@@ -95,13 +95,16 @@ async function answer(daemon, assets, request, response) {
     if (finished(id)?.files.some((file) => file.name === name)) return send(response, 200, 'application/octet-stream', `${name} of ${id}\n`);
   }
   if (/^\/api\/v1\/scan\/snapshots\/\d+\.png$/.test(pathname)) return send(response, 200, 'image/png', thumbnail(daemon));
-  if (request.method === 'POST') return act(daemon, pathname, finished, response);
+  if (request.method === 'POST') return act(daemon, request, pathname, finished, response);
   throw new Refused('not_found', `there is nothing at ${pathname}`);
 }
 
-function act(daemon, pathname, finished, response) {
+async function act(daemon, request, pathname, finished, response) {
   const done = () => send(response, 202, 'application/json', '{}');
-  if (pathname === '/api/v1/scan') return send(response, 201, 'application/json', JSON.stringify({ id: daemon.start() }));
+  if (pathname === '/api/v1/scan') {
+    const { label = null } = JSON.parse(Buffer.concat(await request.toArray()).toString());
+    return send(response, 201, 'application/json', JSON.stringify({ id: daemon.start(label) }));
+  }
   if (COMMAND.test(pathname)) {
     daemon.command(pathname.match(COMMAND)[1]);
     return done();

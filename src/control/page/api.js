@@ -37,7 +37,8 @@ export const snapshots = () => ask('GET', '/scan/snapshots');
 export const sessions = () => ask('GET', '/sessions');
 export const session = (id) => ask('GET', `/sessions/${encodeURIComponent(id)}`);
 
-export const start = () => ask('POST', '/scan', {});
+/** `label` is what the operator calls the scan; none if empty. */
+export const start = (label) => ask('POST', '/scan', label ? { label } : {});
 /** One of pause, resume, snapshot, refine, reset, finish, abandon. */
 export const command = (name) => ask('POST', `/scan/${name}`);
 export const undo = (secs) => ask('POST', '/scan/undo', { secs });

@@ -27,7 +27,7 @@ const snapshots = new Snapshots();
 const kinect1 = new Kinect1();
 const health = new Health();
 const refinement = new Refinement(report);
-const exported = new Exports();
+const exported = new Exports((session) => stage?.compare(session));
 const controls = new Controls({ report, export: () => exported.open() });
 const connection = new Connection({ state: showConnection, status: showStatus, preview: showPreview });
 
@@ -66,7 +66,7 @@ function showStatus(next) {
   Object.assign(document.body.dataset, { state: next.state, reason: next.reason ?? '', phase: next.phase, tone });
   say('state-title', title);
   say('state-advice', advice);
-  say('device', next.scan ? `${deviceName(next.scan.device)}` : '');
+  say('device', next.scan ? scanName(next.scan) : '');
   fitness.show(next.fitness, next.state === 'lost');
   previews.showSaturation(next.ir_saturated_share);
   snapshots.follow(scanId, next.snapshots);
@@ -78,9 +78,9 @@ function showStatus(next) {
   showControls();
 }
 
-function deviceName({ sensor, serial }) {
+function scanName({ label, device }) {
   const kinds = { kinect1: 'Kinect I', kinect2: 'Kinect II' };
-  return `${kinds[sensor] ?? sensor} · ${serial}`;
+  return [label, kinds[device.sensor] ?? device.sensor, device.serial].filter(Boolean).join(' · ');
 }
 
 function say(id, text) {

@@ -22,6 +22,7 @@ export class Controls {
     ['start', 'pause', 'resume', 'snapshot', 'undo', 'refine', 'reset', 'stop', 'export']
       .map((name) => [name, document.getElementById(name)]),
   );
+  #label = document.getElementById('label');
   #status = null;
   #lastSession = null;
   #report;
@@ -29,7 +30,10 @@ export class Controls {
   /** `on.report(error)` is told of refusals, `on.export()` opens the list of files. */
   constructor(on) {
     this.#report = on.report;
-    this.#bind('start', () => api.start());
+    this.#bind('start', async () => {
+      await api.start(this.#label.value.trim());
+      this.#label.value = '';
+    });
     for (const name of ['pause', 'resume', 'snapshot']) this.#bind(name, () => api.command(name));
     this.#bind('undo', () => api.undo(UNDO_SECS));
     this.#bind('refine', () => (this.#isScanning() ? api.command('refine') : api.refineSession(this.#lastSession.id)));
@@ -62,6 +66,7 @@ export class Controls {
     this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
     this.#buttons.export.disabled = !this.#status || this.#lastSession === null;
     if (!state) return;
+    document.getElementById('name').hidden = !ALLOWED.start.includes(state);
     const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';
     for (const name of ['start', 'pause', 'resume']) this.#buttons[name].hidden = name !== shown;
     // Three buttons share a place: the focus goes on to the one that takes it.

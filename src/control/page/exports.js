@@ -17,11 +17,21 @@ export class Exports {
   #dialog = document.getElementById('export-dialog');
   #select = document.getElementById('export-session');
   #list = document.getElementById('export-files');
+  #show = document.getElementById('export-show');
   /** Finished scans, newest first. */
   sessions = [];
 
-  constructor() {
+  /** `show(session)` is asked for the meshes of a refined scan. */
+  constructor(show) {
     this.#select.addEventListener('change', () => this.#fill());
+    this.#show.addEventListener('click', () => {
+      this.#dialog.close();
+      show(this.#chosen);
+    });
+  }
+
+  get #chosen() {
+    return this.sessions.find(({ id }) => id === this.#select.value);
   }
 
   get newest() {
@@ -47,7 +57,8 @@ export class Exports {
   }
 
   #fill() {
-    const session = this.sessions.find(({ id }) => id === this.#select.value);
+    const session = this.#chosen;
+    this.#show.disabled = !session || !hasFile(session, 'refined.ply');
     const names = Object.keys(FILES).filter((name) => session && hasFile(session, name));
     this.#list.replaceChildren(...names.map((name) => {
       const link = document.createElement('a');

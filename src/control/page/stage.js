@@ -74,6 +74,12 @@ export class Stage {
     for (const button of this.#modes) button.disabled = button.dataset.mode !== 'live' && !session;
   }
 
+  /** Shows a finished scan's meshes. */
+  compare(session) {
+    this.offer(session);
+    return this.#switch('compare');
+  }
+
   showPose(pose) {
     this.#view.markers.showPose(pose);
     if (pose.isLost !== this.#isLost) {
