@@ -69,9 +69,10 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
   });
 
   await t.test('takes a shading image', async () => {
-    const accepted = Number(await page.getByTestId('snapshot-count').getAttribute('data-accepted'));
+    const seen = Number(await page.getByTestId('snapshot-count').getAttribute('data-seen'));
     await button('snapshot').click();
-    await rises(page, '#snapshot-count', 'accepted', accepted);
+    await rises(page, '#snapshot-count', 'seen', seen);
+    assert.ok(await page.getByTestId('toast').isHidden(), 'it was not refused');
     await page.locator('#snapshot-list li[data-accepted=true] img').first().waitFor();
   });
 

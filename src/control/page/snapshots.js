@@ -21,7 +21,7 @@ export class Snapshots {
     this.#dial.max = Math.max(wanted, 1);
     this.#dial.value = Math.min(accepted, wanted);
     this.#count.textContent = accepted + rejected === 0 ? 'none yet' : `${accepted} of ${wanted}` + (rejected ? `, ${rejected} rejected` : '');
-    this.#count.dataset.accepted = accepted;
+    this.#count.dataset.seen = accepted + rejected;
     // The daemon makes the list only while somebody asks, so the first answer may be an old one.
     const isShown = this.#shown.scanId === scanId && this.#shown.accepted === accepted && this.#shown.rejected === rejected;
     if (isShown || performance.now() < this.#askAgainAt) return;
@@ -56,11 +56,13 @@ function tile(key, { index, frame_id: frameId, accepted, code, reason, advice, h
     const image = document.createElement('img');
     image.src = api.snapshotImage(index);
     image.loading = 'lazy';
-    image.alt = `Shading image ${index} of frame ${frameId}, ${why}`;
+    // The daemon keeps pictures of the newest only.
+    image.addEventListener('error', () => image.remove());
+    image.alt = `Infrared image of frame ${frameId}, ${why}`;
     item.append(image);
   }
   const caption = document.createElement('span');
-  caption.textContent = accepted ? `${index + 1}` : why;
+  caption.textContent = accepted ? `frame ${frameId}` : why;
   item.append(caption);
   item.title = [`frame ${frameId}`, why, reason, advice].filter((part, i, parts) => part && parts.indexOf(part) === i).join(': ');
   return item;
