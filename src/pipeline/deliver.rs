@@ -57,8 +57,16 @@ impl Outbox {
     /// An outbox into a folder.
     pub fn new(folder: &OutputFolder) -> Self {
         Outbox {
-            folder: folder.path().to_owned(),
             name: folder.name().to_owned(),
+            ..Outbox::inside(folder.path())
+        }
+    }
+
+    /// An outbox into a folder that lies in one that is held already.
+    pub fn inside(folder: &Path) -> Self {
+        Outbox {
+            folder: folder.to_owned(),
+            name: folder.to_owned(),
             account: Mutex::default(),
         }
     }

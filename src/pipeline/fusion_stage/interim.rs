@@ -109,7 +109,7 @@ impl Interim {
     fn write(&self, folder: &Path, info: &CameraInfo) -> Result<(), String> {
         fs::create_dir_all(folder)
             .map_err(|error| format!("cannot create {}: {error}", folder.display()))?;
-        let outbox = Outbox::new(folder);
+        let outbox = Outbox::inside(folder);
         outbox.base_mesh(&self.base);
         outbox.trajectory(&self.trajectory);
         outbox.snapshots(&self.snapshots, None, info);
