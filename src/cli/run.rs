@@ -2,7 +2,7 @@
 
 use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
 use anyhow::{Context, bail};
-use depth_camera::{CameraInfo, DepthCamera, Sensor};
+use depth_camera::{DepthCamera, Sensor};
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
     control::{self, EXIT_INTERRUPTED, Progress},
@@ -135,7 +135,7 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         snapshot: config.snapshot,
         object: config.object,
         refine: Some(config.refine),
-        warnings: calibration_warnings(&found, &recorded.info),
+        warnings: found.announce(&recorded.info),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.scan.roi.map(|roi| roi.0),
@@ -177,7 +177,7 @@ fn pipeline_params(
         snapshot: config.snapshot,
         object: config.object,
         refine: (!args.no_refine).then_some(config.refine),
-        warnings: calibration_warnings(&found, camera.info()),
+        warnings: found.announce(camera.info()),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
@@ -271,24 +271,6 @@ pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBu
         (None, Some(folder)) => folder.join("calibration"),
         (None, None) => PathBuf::from("calibration"),
     }
-}
-
-/// Says which calibration is used, and what the operator should know of it.
-fn calibration_warnings(found: &FoundCalibration, info: &CameraInfo) -> Vec<String> {
-    // Without IR there is nothing to calibrate.
-    if info.ir_full_scale.is_none() {
-        return Vec::new();
-    }
-    let origins = found.origins.iter();
-    let origins: Vec<_> = origins
-        .map(|(key, origin)| format!("{key}: {origin}"))
-        .collect();
-    tracing::info!(file = %found.source, keys = origins.join(", "), "calibration");
-    let warnings = found.warnings(info);
-    for warning in &warnings {
-        tracing::warn!("{warning}");
-    }
-    warnings
 }
 
 /// The name of the session's folder.
