@@ -1,11 +1,11 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
-use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
+use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, summary};
 use anyhow::{Context, bail};
 use depth_camera::{DepthCamera, Sensor};
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
-    control::{self, EXIT_INTERRUPTED, Progress},
+    control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
     pipeline::{
         Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
     },
@@ -31,14 +31,23 @@ pub enum Verdict {
     BadUsage,
     /// Somebody asked to stop.
     Interrupted,
+    /// The daemon's configuration makes no sense.
+    BadConfiguration,
+    /// The daemon's camera does not answer.
+    NoDevice,
+    /// The daemon's data directory cannot be used.
+    StorageFailed,
+    /// The system refuses what the daemon needs.
+    Internal,
 }
 
 impl Verdict {
     /// What an error means for the exit code.
     pub fn of_error(error: &anyhow::Error) -> Self {
-        match error.is::<ConfigError>() {
-            true => Verdict::BadUsage,
-            false => Verdict::Failed,
+        match error.downcast_ref::<DaemonError>() {
+            Some(error) => daemon::verdict_of(error),
+            None if error.is::<ConfigError>() => Verdict::BadUsage,
+            None => Verdict::Failed,
         }
     }
 
@@ -58,6 +67,10 @@ impl From<Verdict> for ExitCode {
             Verdict::Failed => 1,
             Verdict::BadUsage => 2,
             Verdict::Interrupted => EXIT_INTERRUPTED,
+            Verdict::BadConfiguration => 3,
+            Verdict::NoDevice => 4,
+            Verdict::StorageFailed => 5,
+            Verdict::Internal => 70,
         })
     }
 }
