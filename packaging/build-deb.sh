@@ -14,4 +14,4 @@ gzip -9 -n "$generated"/man/*.1
 "$program" completions zsh > "$generated/completions/_relief"
 "$program" completions fish > "$generated/completions/relief.fish"
 gzip -9 -n -c packaging/debian/changelog > "$generated/changelog.Debian.gz"
-cargo deb --no-build -p relief
+cargo deb --no-build --strip -p relief

@@ -6,6 +6,7 @@
 //! the bound, and of every key is known who set it ([`LayeredConfig`]). Stages never see [`Config`].
 
 mod layer;
+mod layer_places;
 mod layers;
 mod origin;
 
@@ -18,7 +19,8 @@ pub use calibration::{CalibrationPlaces, CalibrationSource, FoundCalibration, fi
 pub use calibration_file::{DeviceCalibration, MeasuredLight};
 pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
-pub use layers::{LayerPlaces, LayeredConfig};
+pub use layer_places::LayerPlaces;
+pub use layers::LayeredConfig;
 pub use origin::Origin;
 
 use crate::{

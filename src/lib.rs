@@ -1,7 +1,8 @@
 //! Relief: a hand-held Kinect scan in, a mesh with detail far below the depth sensor's noise out.
 //!
 //! The pipeline reads from top to bottom: [`geometry`] and [`shading`] are what everything is built on, then
-//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages, and `control` knows only `pipeline`.
+//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages, and `control` knows only `pipeline`
+//! and [`jobs`], which refines beside capture.
 #![forbid(unsafe_code)]
 
 pub mod atomic_file;

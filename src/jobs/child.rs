@@ -85,6 +85,8 @@ pub fn run(
 ) -> io::Result<AttemptEnd> {
     let mut child = Command::new(attempt.program)
         .args(arguments(attempt))
+        // What it says last is to be the reason.
+        .env("RUST_BACKTRACE", "0")
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -213,7 +215,8 @@ fn hear_log(pipe: impl Read) -> String {
     let mut last = String::new();
     for_each_line(pipe, |line| {
         let line = line.trim();
-        if !line.is_empty() {
+        // A panic ends with advice on how to see more of it.
+        if !line.is_empty() && !line.starts_with("note: ") {
             tracing::debug!(line, "refinement");
             last = line.chars().take(MAX_SAID_CHARS).collect();
         }

@@ -1,7 +1,7 @@
 //! Refinement beside capture: jobs in a durable spool, run one at a time by a child process of low priority.
 //!
 //! A job is the refinement of one scan's folder, and is named by all that it is made from ([`JobId`]): asking twice for the same is
-//! asking once. [`spool`] keeps jobs on the disk; the [`Worker`]'s thread claims them and runs `relief refine` for each, which
+//! asking once. The spool keeps jobs on the disk; the [`Worker`]'s thread claims them and runs `relief refine` for each, which
 //! lowers its own priority and limits, tells its progress on standard output, and writes into a folder of its own. Only when that
 //! is whole do refined mesh and report go into the scan's folder, one rename each. Base mesh, poses and shading images are
 //! read, never written.

@@ -333,6 +333,25 @@ fn other_settings_are_another_job_that_takes_the_waiting_one_s_place() {
 }
 
 #[test]
+fn noise_and_processes_that_a_child_leaves_behind_hold_nobody_up() {
+    let bench = Workbench::new(&format!(
+        "head -c 3000000 /dev/zero\necho\necho '{{\"progress\":7}}'\necho '[]'\n\
+         sleep 600 &\necho $! > $here/left\n{REFINE}"
+    ));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    assert_eq!(end_of(&worker, &job.id).state, JobState::Done);
+    let left = fs::read_to_string(bench.path("left")).unwrap();
+    let stat = PathBuf::from(format!("/proc/{}/stat", left.trim()));
+    poll("the end of what was left", || {
+        // A zombie waits for whoever adopted it, and does nothing.
+        let stat = fs::read_to_string(&stat).unwrap_or_default();
+        (stat.is_empty() || stat.contains(") Z ")).then_some(())
+    });
+    worker.stop();
+}
+
+#[test]
 fn what_is_no_scan_of_the_data_directory_is_refused() {
     let bench = Workbench::new(REFINE);
     let worker = bench.worker();

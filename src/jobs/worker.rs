@@ -198,9 +198,10 @@ impl Shared {
         submitted.map(|(place, record)| record.job(place))
     }
 
-    /// Puts on the board what the disk holds.
+    /// Puts on the board what the disk holds, before anybody can change it again.
     pub fn refresh(&self) {
-        match lock(&self.spool).list() {
+        let spool = lock(&self.spool);
+        match spool.list() {
             Ok(records) => {
                 let jobs = records.iter().map(|(place, record)| record.job(*place));
                 lock(&self.board).jobs = jobs.collect();

@@ -4,8 +4,13 @@ use crate::support::{PROGRAM, Workbench, assert_says};
 use serde_json::Value;
 use std::{
     fs,
+    io::Read,
+    os::{
+        fd::{AsRawFd, OwnedFd},
+        unix::{fs::MetadataExt, net::UnixStream},
+    },
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
 };
 
 fn relief(arguments: &[&str]) -> Command {
@@ -80,13 +85,39 @@ fn man_pages_and_completions_know_the_sub_commands() {
 }
 
 #[test]
-fn log_lines_are_json_on_request_and_bare_for_the_journal() {
+fn log_lines_are_json_on_request() {
     let bench = Workbench::with_frames(2);
     let json = bench.replay(&["--log-format", "json"]);
     let lines = String::from_utf8(json.stderr).unwrap();
     let first = lines.lines().find(|line| line.starts_with('{')).unwrap();
     let line: Value = serde_json::from_str(first).unwrap();
     assert!(line["timestamp"].is_string() && line["level"].is_string());
+}
+
+#[test]
+fn log_lines_for_the_journal_have_a_priority_and_neither_time_nor_colour() {
+    let bench = Workbench::with_frames(2);
+    let (mut journal, stderr) = UnixStream::pair().unwrap();
+    let socket = fs::metadata(format!("/proc/self/fd/{}", stderr.as_raw_fd())).unwrap();
+    let out = bench.path("out");
+    let mut command = relief(&["replay", "--no-refine", "--json"]);
+    command
+        .args([bench.session(), "--out".into(), out])
+        .env(
+            "JOURNAL_STREAM",
+            format!("{}:{}", socket.dev(), socket.ino()),
+        )
+        .stdout(Stdio::null())
+        .stderr(OwnedFd::from(stderr));
+    let mut child = command.spawn().unwrap();
+    // It holds the other end, and with it the journal would not end.
+    drop(command);
+    let mut text = String::new();
+    journal.read_to_string(&mut text).unwrap();
+    assert!(child.wait().unwrap().success());
+    let calibration = text.lines().find(|line| line.contains("calibration"));
+    assert!(calibration.unwrap().starts_with("<6>calibration"), "{text}");
+    assert!(!text.contains('\u{1b}') && !text.contains("INFO"), "{text}");
 }
 
 fn file(name: &str) -> PathBuf {

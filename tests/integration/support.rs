@@ -115,7 +115,7 @@ pub fn prolong(session: &Path) {
 }
 
 /// Generous: a busy machine is no fault.
-const GRACE: Duration = Duration::from_secs(60);
+const GRACE: Duration = Duration::from_secs(120);
 
 /// Looks again and again until there is an answer.
 pub fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
