@@ -156,7 +156,8 @@ fn what_is_seen_of_a_scan_is_newest_and_complete() {
 
     let mesh = poll("the live mesh", || {
         let answer = client.get("/api/v1/scan/mesh?lod=preview");
-        (answer.status == 200).then_some(answer)
+        // The first is made before any surface is believed, and has nothing but a head.
+        (answer.status == 200 && answer.body.len() > 16).then_some(answer)
     });
     assert_mesh(&mesh);
     assert!(mesh.header("x-mesh-revision").is_some());
