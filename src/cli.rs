@@ -1,9 +1,10 @@
-//! The command line: what can be asked for here, how it is done in [`run`] and [`bench`], what is said in
+//! The command line: what can be asked for here, how it is done in [`run`], [`daemon`] and [`bench`], what is said in
 //! the end in [`summary`].
 
 pub mod bench;
 pub mod calibrate;
 pub mod config;
+pub mod daemon;
 pub mod evaluate;
 pub mod logging;
 pub mod package;
@@ -23,14 +24,15 @@ use relief::{
     jobs::Limits,
     refine::{Crop, Roi},
 };
-use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
+use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, str::FromStr};
 
 /// Turns a hand-held Kinect scan into a mesh with detail below the depth sensor's noise, from infrared shading.
 #[derive(Debug, Parser)]
 #[command(
     name = "relief",
     version,
-    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 130 interrupted.\n\
+    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 130 interrupted;\n\
+                  of the daemon also 3 bad configuration, 4 no device, 5 no storage, 70 refused by the system.\n\
                   Logs go to standard error; RUST_LOG sets their level."
 )]
 pub struct Cli {
@@ -45,6 +47,8 @@ pub struct Cli {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Scan for hours, seen and steered from a browser
+    Run(RunArgs),
     /// Fuse and refine a recorded session
     Replay(Box<ReplayArgs>),
     /// Refine the base mesh of an output folder again
@@ -88,11 +92,48 @@ impl Command {
             Command::Evaluate(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
             Command::Config(command) => command.prints_json(),
-            Command::Simulate(_) | Command::Demo(_) | Command::Completions(_) | Command::Man(_) => {
-                false
-            }
+            Command::Run(_)
+            | Command::Simulate(_)
+            | Command::Demo(_)
+            | Command::Completions(_)
+            | Command::Man(_) => false,
         }
     }
+}
+
+/// `relief run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Play this session at its own pace, as if it were a device
+    #[arg(long, value_name = "SESSION")]
+    pub replay: PathBuf,
+    /// Begin the session anew whenever it ends
+    #[arg(long, requires = "replay")]
+    pub repeat: bool,
+    /// Configuration; keys that it leaves out keep their defaults. Read anew on SIGHUP
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Data directory, of one daemon at a time; $STATE_DIRECTORY, $XDG_STATE_HOME/relief or ~/.local/state/relief without it
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Where to listen: an address of this machine alone. A socket from the service manager comes first
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8047")]
+    pub listen: SocketAddr,
+    /// Ask every request for the token in DATA/token, as Bearer or as the password that browsers ask for
+    #[arg(long)]
+    pub require_token: bool,
+    /// Record the frames of every scan
+    #[arg(long)]
+    pub record: bool,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Threads of each pool; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
 }
 
 /// `relief replay`.

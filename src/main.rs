@@ -5,7 +5,7 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command, bench, calibrate, config, evaluate,
+    Cli, Command, bench, calibrate, config, daemon, evaluate,
     logging::log_to_stderr,
     package,
     run::{self, Verdict},
@@ -21,6 +21,7 @@ fn main() -> ExitCode {
     log_to_stderr(cli.log_format, &progress);
 
     let ran = match &cli.command {
+        Command::Run(args) => daemon::run(args),
         Command::Replay(args) => run::replay(args, &progress),
         Command::Refine(args) => run::refine(args, &progress),
         Command::Simulate(args) => run::simulate(args),

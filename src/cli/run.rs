@@ -1,11 +1,11 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
-use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
+use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, summary};
 use anyhow::{Context, bail};
-use depth_camera::{CameraInfo, DepthCamera, Sensor};
+use depth_camera::{DepthCamera, Sensor};
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
-    control::{self, EXIT_INTERRUPTED, Progress},
+    control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
     pipeline::{
         Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
     },
@@ -31,14 +31,23 @@ pub enum Verdict {
     BadUsage,
     /// Somebody asked to stop.
     Interrupted,
+    /// The daemon's configuration makes no sense.
+    BadConfiguration,
+    /// The daemon's camera does not answer.
+    NoDevice,
+    /// The daemon's data directory cannot be used.
+    StorageFailed,
+    /// The system refuses what the daemon needs.
+    Internal,
 }
 
 impl Verdict {
     /// What an error means for the exit code.
     pub fn of_error(error: &anyhow::Error) -> Self {
-        match error.is::<ConfigError>() {
-            true => Verdict::BadUsage,
-            false => Verdict::Failed,
+        match error.downcast_ref::<DaemonError>() {
+            Some(error) => daemon::verdict_of(error),
+            None if error.is::<ConfigError>() => Verdict::BadUsage,
+            None => Verdict::Failed,
         }
     }
 
@@ -58,6 +67,10 @@ impl From<Verdict> for ExitCode {
             Verdict::Failed => 1,
             Verdict::BadUsage => 2,
             Verdict::Interrupted => EXIT_INTERRUPTED,
+            Verdict::BadConfiguration => 3,
+            Verdict::NoDevice => 4,
+            Verdict::StorageFailed => 5,
+            Verdict::Internal => 70,
         })
     }
 }
@@ -135,7 +148,7 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         snapshot: config.snapshot,
         object: config.object,
         refine: Some(config.refine),
-        warnings: calibration_warnings(&found, &recorded.info),
+        warnings: found.announce(&recorded.info),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.scan.roi.map(|roi| roi.0),
@@ -177,7 +190,7 @@ fn pipeline_params(
         snapshot: config.snapshot,
         object: config.object,
         refine: (!args.no_refine).then_some(config.refine),
-        warnings: calibration_warnings(&found, camera.info()),
+        warnings: found.announce(camera.info()),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
@@ -271,24 +284,6 @@ pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBu
         (None, Some(folder)) => folder.join("calibration"),
         (None, None) => PathBuf::from("calibration"),
     }
-}
-
-/// Says which calibration is used, and what the operator should know of it.
-fn calibration_warnings(found: &FoundCalibration, info: &CameraInfo) -> Vec<String> {
-    // Without IR there is nothing to calibrate.
-    if info.ir_full_scale.is_none() {
-        return Vec::new();
-    }
-    let origins = found.origins.iter();
-    let origins: Vec<_> = origins
-        .map(|(key, origin)| format!("{key}: {origin}"))
-        .collect();
-    tracing::info!(file = %found.source, keys = origins.join(", "), "calibration");
-    let warnings = found.warnings(info);
-    for warning in &warnings {
-        tracing::warn!("{warning}");
-    }
-    warnings
 }
 
 /// The name of the session's folder.

@@ -157,6 +157,24 @@ impl FoundCalibration {
         }
     }
 
+    /// Logs which calibration is used, and returns what the operator should know of it.
+    pub fn announce(&self, info: &CameraInfo) -> Vec<String> {
+        // Without IR there is nothing to calibrate.
+        if info.ir_full_scale.is_none() {
+            return Vec::new();
+        }
+        let origins = self.origins.iter();
+        let origins: Vec<_> = origins
+            .map(|(key, origin)| format!("{key}: {origin}"))
+            .collect();
+        tracing::info!(file = %self.source, keys = origins.join(", "), "calibration");
+        let warnings = self.warnings(info);
+        for warning in &warnings {
+            tracing::warn!("{warning}");
+        }
+        warnings
+    }
+
     /// What the operator should know before trusting it.
     pub fn warnings(&self, info: &CameraInfo) -> Vec<String> {
         let kind = info.sensor.name();

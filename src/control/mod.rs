@@ -1,80 +1,59 @@
-//! The operator's side of a running pipeline: signals in, progress out.
+//! The operator's side of a running pipeline: signals in, progress out, and the daemon with its page and API.
 //!
-//! tokio lives here. Handlers look at the pipeline through a
-//! [`Watch`](crate::pipeline::Watch) and return at once; the pipeline's own
-//! threads never wait for them.
+//! tokio lives here. Handlers look at the pipeline through a [`Watch`](crate::pipeline::Watch) and return at once; the
+//! pipeline's own threads never wait for them. Terms: a *scan* is one run of the pipeline, a *session* is what it leaves
+//! behind in the data directory, a *job* is the refinement of a session by another process.
+//!
+//! Routes; every one is described in `/api/v1/openapi.json`, and in `docs/api.md` with examples. Refusals are
+//! `application/problem+json` with a stable `code`.
+//!
+//! | route | effect |
+//! |---|---|
+//! | `GET /`, `/assets/{name}` | the page, part of the program |
+//! | `GET /healthz`, `/readyz`, `/metrics` | for supervisors: the process answers; a scan could start; Prometheus |
+//! | `GET /api/v1/status`, `/devices` | what the daemon is doing, what it may scan with |
+//! | `GET /api/v1/events` | events, numbered, as server-sent events |
+//! | `GET /api/v1/ws` | WebSocket: status and previews, newest only |
+//! | `POST /api/v1/scan` | starts a scan |
+//! | `POST /api/v1/scan/{pause, resume, snapshot, undo, refine, reset, finish, abandon}` | asks it for something, done between two frames |
+//! | `GET /api/v1/scan/{mesh, path, snapshots, snapshots/N.png}` | what is seen of it |
+//! | `GET /api/v1/sessions`, `/sessions/{id}`, `/sessions/{id}/files/{name}` | what scans left behind |
+//! | `DELETE /api/v1/sessions/{id}` | removes one |
+//! | `POST /api/v1/sessions/{id}/refine` | asks for its refinement |
+//! | `GET /api/v1/sessions/{id}/mesh`, `/meshes/{sha256}` | its meshes, by content |
+//! | `GET /api/v1/jobs`, `POST /api/v1/jobs/{id}/cancel` | refinements |
+//! | `GET /api/v1/config`, `POST /api/v1/config/reload` | the configuration in force, read anew |
+//!
+//! Not handled: users and rights; who reaches the socket is the operator.
 
+mod operate;
 mod progress;
 mod progress_lines;
 mod signals;
 
+mod daemon;
+mod supervisor;
+
+mod camera_source;
+mod data_folder;
+mod events;
+mod interim;
+mod observer;
+mod refined_error;
+mod scan_record;
+mod sessions;
+mod settings;
+mod status_body;
+
+mod http;
+mod listen;
+mod systemd;
+mod token;
+mod watchdog;
+
+pub use camera_source::CameraSource;
+pub use daemon::{DaemonError, DaemonSetup, run as run_daemon};
+pub use operate::{ControlError, operate};
 pub use progress::{Progress, ProgressStyle};
+pub use settings::SettingsPlaces;
 pub use signals::EXIT_INTERRUPTED;
-
-use crate::pipeline::{Handle, Outcome, SpawnError};
-use signals::Signals;
-use std::{io, time::Duration};
-use tokio::{runtime, task, time};
-
-/// How often progress is shown.
-const REFRESH: Duration = Duration::from_millis(200);
-
-/// Why a pipeline could not be accompanied to its end.
-#[derive(Debug, thiserror::Error)]
-pub enum ControlError {
-    /// The system refuses what the control plane needs.
-    #[error("cannot listen for signals: {0}")]
-    Signals(#[from] io::Error),
-    /// The pipeline did not start.
-    #[error(transparent)]
-    Spawn(#[from] SpawnError),
-    /// The thread that waits for the pipeline ended by a fault of the program.
-    #[error("the run ended by a fault of the program: {0}")]
-    Join(#[from] task::JoinError),
-}
-
-/// Starts a pipeline and accompanies it to its end: the first signal stops it in order, the second ends the process at once.
-///
-/// # Errors
-/// If the pipeline does not start, or the system refuses.
-pub fn operate(
-    start: impl FnOnce() -> Result<Handle, SpawnError>,
-    progress: &Progress,
-) -> Result<Outcome, ControlError> {
-    let runtime = runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
-    runtime.block_on(async {
-        // Before the first thread starts: from now on a signal finds somebody who listens.
-        let mut signals = Signals::new()?;
-        accompany(start()?, &mut signals, progress).await
-    })
-}
-
-async fn accompany(
-    handle: Handle,
-    signals: &mut Signals,
-    progress: &Progress,
-) -> Result<Outcome, ControlError> {
-    let watch = handle.watch();
-    let mut joined = task::spawn_blocking(|| handle.join());
-    let mut refresh = time::interval(REFRESH);
-    let mut is_stopping = false;
-    loop {
-        tokio::select! {
-            outcome = &mut joined => {
-                progress.finish();
-                return Ok(outcome?);
-            }
-            name = signals.next() => {
-                if is_stopping {
-                    signals::exit_at_once(name);
-                }
-                is_stopping = true;
-                tracing::warn!("{name}: stopping; base mesh and report are still written, once more to exit at once");
-                watch.stop();
-            }
-            _ = refresh.tick() => progress.show(&watch.status()),
-        }
-    }
-}

@@ -7,6 +7,7 @@
 mod bvh;
 pub(crate) mod camera;
 mod cells;
+mod clustering;
 mod manifold;
 mod mesh;
 mod patch;
@@ -18,6 +19,7 @@ mod watertight;
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use cells::CellGrid;
+pub use clustering::{Clustering, cluster_vertices};
 pub use manifold::{Manifold, border_loops, cut_to_manifold};
 pub use mesh::{EdgeAdjacency, TriMesh};
 pub use patch::{DepthPatch, PixelSquare};

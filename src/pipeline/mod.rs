@@ -64,7 +64,7 @@ pub use state::{Degradation, Fault, Loss, State};
 pub use status::{
     MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
 };
-pub use timing::peak_memory_bytes;
+pub use timing::{peak_memory_bytes, resident_memory_bytes};
 
 use crate::{
     capture::{CaptureParams, IrOffset, Recorder},

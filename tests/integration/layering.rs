@@ -55,7 +55,17 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "export",
         ],
     ),
-    ("control", &["pipeline", "jobs"]),
+    (
+        "control",
+        &[
+            "pipeline",
+            "jobs",
+            "config",
+            "export",
+            "geometry",
+            "atomic_file",
+        ],
+    ),
 ];
 
 /// Files of the program, which puts everything together.
@@ -191,7 +201,10 @@ fn tokio_stays_in_control_and_anyhow_in_the_program() {
 #[test]
 fn no_unsafe_code_outside_the_drivers() {
     for path in sources(&source_folder()) {
-        let code = code_of(&path).replace("unsafe_code", "");
+        // The lint, and a word of the policy under which a report's page is shown.
+        let code = code_of(&path)
+            .replace("unsafe_code", "")
+            .replace("unsafe-inline", "");
         assert!(!code.contains("unsafe"), "{}: unsafe", path.display());
     }
     for root in ["lib.rs", "main.rs"] {

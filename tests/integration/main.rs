@@ -14,4 +14,8 @@ mod service;
 mod signals;
 mod worker;
 
+mod daemon;
+
+mod daemon_process;
+mod http_client;
 mod support;

@@ -1,27 +1,11 @@
 //! A signal ends a run in order.
 
-use crate::support::{PROGRAM, Workbench, poll};
+use crate::support::{PROGRAM, Workbench, poll, prolong};
 use serde_json::Value;
 use std::{
-    fmt::Write,
     fs,
-    path::Path,
     process::{Child, Command, Stdio},
 };
-
-/// Lists the images of a recording over and over, a minute long.
-fn prolong(session: &Path) {
-    for kind in ["depth", "ir"] {
-        let path = session.join(format!("{kind}.txt"));
-        let list = fs::read_to_string(&path).unwrap();
-        let image = list.lines().last().unwrap().split_once(' ').unwrap().1;
-        let mut longer = String::new();
-        for frame in 0..1800 {
-            writeln!(longer, "{:.6} {image}", 100.0 + f64::from(frame) / 30.0).unwrap();
-        }
-        fs::write(path, longer).unwrap();
-    }
-}
 
 fn start(bench: &Workbench) -> Child {
     Command::new(PROGRAM)

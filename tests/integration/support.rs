@@ -6,6 +6,7 @@ use replay::SessionWriter;
 use serde_json::Value;
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
 use std::{
+    fmt::Write,
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
@@ -47,11 +48,16 @@ pub struct Workbench {
 impl Workbench {
     /// A recording of so many frames of 128×106.
     pub fn with_frames(n_frames: usize) -> Self {
-        let bench = Workbench {
-            root: tempfile::tempdir().unwrap(),
-        };
+        let bench = Workbench::empty();
         record(small_camera(n_frames, 4), &bench.session());
         bench
+    }
+
+    /// A folder without a recording.
+    pub fn empty() -> Self {
+        Workbench {
+            root: tempfile::tempdir().unwrap(),
+        }
     }
 
     /// The recording.
@@ -91,6 +97,20 @@ impl Workbench {
             .args(arguments)
             .output()
             .unwrap()
+    }
+}
+
+/// Lists the images of a recording over and over, a minute long.
+pub fn prolong(session: &Path) {
+    for kind in ["depth", "ir"] {
+        let path = session.join(format!("{kind}.txt"));
+        let list = fs::read_to_string(&path).unwrap();
+        let image = list.lines().last().unwrap().split_once(' ').unwrap().1;
+        let mut longer = String::new();
+        for frame in 0..1800 {
+            writeln!(longer, "{:.6} {image}", 100.0 + f64::from(frame) / 30.0).unwrap();
+        }
+        fs::write(path, longer).unwrap();
     }
 }
 

@@ -211,6 +211,22 @@ fn recorded_pace_times_out_until_a_frame_is_due() {
 }
 
 #[test]
+fn a_repeated_session_goes_on_evenly() {
+    let folder = tempfile::tempdir().unwrap();
+    write_tiny_session(folder.path());
+    let mut camera = ReplayCamera::open(folder.path()).unwrap().repeating();
+    assert_eq!(camera.info().n_frames, None);
+    for frame_id in 0..8 {
+        let frame = camera.grab(Duration::ZERO).unwrap().unwrap();
+        assert_eq!(frame.frame_id, frame_id);
+        let expected = tiny_frame(frame_id);
+        // Times are stored in microseconds.
+        assert!((frame.device_time_secs - expected.device_time_secs).abs() < 1e-5);
+        assert_eq!(frame.ir, tiny_frame(frame_id % 3).ir);
+    }
+}
+
+#[test]
 fn every_fault_of_a_description_or_a_list_is_named() {
     // File, what stands there, what it is broken to, what the message must say.
     let faults: [(&str, &str, &str, &[&str]); 31] = [

@@ -1,0 +1,215 @@
+//! The daemon's life: listen, answer, watch, drain.
+
+use super::{
+    camera_source::CameraSource,
+    data_folder::{DataFolder, DataFolderError},
+    http::{Acceptor, Access, App, router},
+    listen::{ListenError, listen},
+    observer::Observer,
+    settings::{Settings, SettingsPlaces},
+    signals::{self, Ask, DaemonSignals},
+    supervisor::Supervisor,
+    systemd::ServiceManager,
+    token::Token,
+    watchdog::Watchdog,
+};
+use crate::{
+    config::ConfigError,
+    jobs::{JobError, Worker, WorkerSetup},
+};
+use depth_camera::CameraError;
+use std::{
+    io,
+    net::{SocketAddr, TcpListener as StdTcpListener},
+    path::PathBuf,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+use tokio::{
+    net::TcpListener,
+    runtime, task,
+    time::{self, MissedTickBehavior},
+};
+
+/// How often everything is looked at.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// While the daemon drains, the service manager is told this often that it still does.
+const DRAIN_NEWS: Duration = Duration::from_secs(5);
+
+/// Threads that wait for disks and joins at most: a few requests at a time, the scan and the drain.
+const WAITING_THREADS: usize = 16;
+
+/// What a daemon is started with.
+#[derive(Clone, Debug)]
+pub struct DaemonSetup {
+    /// Its camera.
+    pub source: CameraSource,
+    /// Where its settings come from.
+    pub places: SettingsPlaces,
+    /// Its data directory; by convention without one.
+    pub data: Option<PathBuf>,
+    /// Where it listens, unless the service manager does.
+    pub listen: SocketAddr,
+    /// Whether every request must bring the token.
+    pub requires_token: bool,
+    /// The program that refines, this one.
+    pub program: PathBuf,
+}
+
+/// Why a daemon ends before it is told to.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// The configuration makes no sense.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The data directory cannot be used.
+    #[error(transparent)]
+    Data(#[from] DataFolderError),
+    /// The refinement worker cannot be used.
+    #[error(transparent)]
+    Worker(#[from] JobError),
+    /// The camera does not answer.
+    #[error("the camera cannot be used: {0}")]
+    Camera(#[from] CameraError),
+    /// The daemon cannot listen.
+    #[error(transparent)]
+    Listen(#[from] ListenError),
+    /// The system refuses what the control plane needs.
+    #[error("the system refuses: {0}")]
+    System(#[from] io::Error),
+}
+
+/// Runs a daemon until a signal ends it: the first in order, the second at once.
+///
+/// # Errors
+/// If configuration, data directory, camera or address cannot be used.
+pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
+    let settings = Settings::read(setup.places)?;
+    let data = match setup.data {
+        Some(root) => DataFolder::open(&root)?,
+        None => DataFolder::open(&DataFolder::conventional()?)?,
+    };
+    // A camera that makes no sense is told of now, not at the first scan.
+    drop(setup.source.open()?);
+    let listener = listen(setup.listen)?;
+    let access = Access {
+        token: match setup.requires_token {
+            true => Some(Token::of_folder(data.root())?),
+            false => None,
+        },
+    };
+    let worker = Worker::spawn(WorkerSetup {
+        data_dir: data.root().to_owned(),
+        program: setup.program,
+        calibration_dir: settings.calibration_dir().to_owned(),
+        params: settings.config().worker,
+        settings: settings.to_toml(),
+    })?;
+    let supervisor = Arc::new(Supervisor::new(setup.source, settings, data, worker));
+    let runtime = runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(WAITING_THREADS)
+        .build()?;
+    let ended = runtime.block_on(Daemon::new(supervisor.clone()).live(listener, access));
+    // Threads that wait for a slow disk are not waited for.
+    runtime.shutdown_background();
+    supervisor.worker.stop();
+    ended
+}
+
+struct Daemon {
+    supervisor: Arc<Supervisor>,
+    manager: ServiceManager,
+    observer: Observer,
+    watchdog: Watchdog,
+    last_well: Instant,
+}
+
+impl Daemon {
+    fn new(supervisor: Arc<Supervisor>) -> Self {
+        Daemon {
+            supervisor,
+            manager: ServiceManager::from_env(),
+            observer: Observer::default(),
+            watchdog: Watchdog::default(),
+            last_well: Instant::now(),
+        }
+    }
+
+    async fn live(mut self, listener: StdTcpListener, access: Access) -> Result<(), DaemonError> {
+        let mut signals = DaemonSignals::new()?;
+        let address = listener.local_addr()?;
+        let app = Arc::new(App::new(self.supervisor.clone(), access));
+        let acceptor = Acceptor::new(TcpListener::from_std(listener)?, router(app.clone()));
+        self.supervisor.data.tell_address(address)?;
+        tracing::info!(
+            data = %self.supervisor.data.root().display(),
+            "listening on http://{address}/"
+        );
+        self.manager.ready("idle");
+
+        let mut looks = time::interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                () = acceptor.accept() => {}
+                _ = looks.tick() => self.look(&app),
+                ask = signals.next() => match ask {
+                    Ask::Reload => self.reload(),
+                    Ask::Stop(name) => {
+                        tracing::warn!("{name}: ending; the scan is finished first, once more to exit at once");
+                        break;
+                    }
+                },
+            }
+        }
+        self.drain(&app, &acceptor, &mut signals).await;
+        acceptor.goodbye().await;
+        Ok(())
+    }
+
+    /// Finishes the scan while requests are still answered.
+    async fn drain(&mut self, app: &App, acceptor: &Acceptor, signals: &mut DaemonSignals) {
+        self.manager.stopping(2 * DRAIN_NEWS);
+        let supervisor = self.supervisor.clone();
+        let mut drained = task::spawn(async move { supervisor.drain().await });
+        let mut looks = time::interval(LOOK);
+        let mut news = time::interval(DRAIN_NEWS);
+        loop {
+            tokio::select! {
+                _ = &mut drained => return,
+                () = acceptor.accept() => {}
+                _ = looks.tick() => self.look(app),
+                _ = news.tick() => self.manager.stopping(2 * DRAIN_NEWS),
+                ask = signals.next() => if let Ask::Stop(name) = ask {
+                    signals::exit_at_once(name);
+                },
+            }
+        }
+    }
+
+    fn look(&mut self, app: &App) {
+        if let Some(line) = self.observer.look(&self.supervisor, app.n_clients()) {
+            self.manager.status(&line);
+        }
+        let Some(interval) = self.manager.watchdog() else {
+            return;
+        };
+        if self.last_well.elapsed() >= interval / 3 && self.watchdog.is_well(&self.supervisor) {
+            self.last_well = Instant::now();
+            self.manager.all_is_well();
+        }
+    }
+
+    fn reload(&self) {
+        self.manager.reloading();
+        match self.supervisor.reload() {
+            Ok(()) => tracing::info!(
+                "configuration read anew; it holds for the scans that start from now on"
+            ),
+            Err(error) => tracing::error!(%error, "the configuration stays as it was"),
+        }
+        self.manager.ready("configuration read anew");
+    }
+}

@@ -1,0 +1,215 @@
+//! The daemon's data directory: one folder for each scan, held by one daemon at a time.
+
+use serde::{Deserialize, Serialize};
+use std::{
+    env, fmt,
+    fs::{self, File, OpenOptions, TryLockError},
+    io,
+    net::SocketAddr,
+    os::unix::fs::{DirBuilderExt, FileExt, OpenOptionsExt},
+    path::{Path, PathBuf},
+    str::FromStr,
+    time::SystemTime,
+};
+
+/// The file that one daemon locks, and that says where it listens.
+const LOCK_NAME: &str = "daemon.lock";
+
+/// Why a data directory cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum DataFolderError {
+    /// Another daemon has it.
+    #[error("data directory {} is in use by another daemon", .0.display())]
+    InUse(PathBuf),
+    /// Nothing says where it is.
+    #[error(
+        "no data directory is known: give --data, or set STATE_DIRECTORY, XDG_STATE_HOME or HOME"
+    )]
+    Unknown,
+    /// The system refused.
+    #[error("cannot use data directory {}: {source}", folder.display())]
+    Io {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+/// A data directory held by this process until this is dropped.
+#[derive(Debug)]
+pub struct DataFolder {
+    root: PathBuf,
+    lock: File,
+}
+
+impl DataFolder {
+    /// Takes hold of a data directory, which is made for this user alone if it is missing.
+    ///
+    /// # Errors
+    /// If another daemon has it, or the system refuses.
+    pub fn open(root: &Path) -> Result<Self, DataFolderError> {
+        let io_error = |source| DataFolderError::Io {
+            folder: root.to_owned(),
+            source,
+        };
+        let make = |folder: &Path| {
+            fs::DirBuilder::new()
+                .recursive(true)
+                .mode(0o700)
+                .create(folder)
+        };
+        make(&root.join("sessions")).map_err(io_error)?;
+        // Names of files are told to clients and children: they must not depend on the working directory.
+        let root = root.canonicalize().map_err(io_error)?;
+        let lock = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .open(root.join(LOCK_NAME))
+            .map_err(io_error)?;
+        match lock.try_lock() {
+            Ok(()) => {
+                // A daemon that ended may have left its address.
+                lock.set_len(0).map_err(io_error)?;
+                Ok(DataFolder { root, lock })
+            }
+            Err(TryLockError::WouldBlock) => Err(DataFolderError::InUse(root)),
+            Err(TryLockError::Error(source)) => Err(io_error(source)),
+        }
+    }
+
+    /// Where the data directory is by the system's conventions: `$STATE_DIRECTORY`, else `$XDG_STATE_HOME/relief`, else
+    /// `~/.local/state/relief`.
+    ///
+    /// # Errors
+    /// If none of these variables is set.
+    pub fn conventional() -> Result<PathBuf, DataFolderError> {
+        let variable = |name| env::var_os(name).filter(|value| !value.is_empty());
+        // systemd lists several state directories with colons between them; the first is ours.
+        let of_service = variable("STATE_DIRECTORY")
+            .and_then(|paths| env::split_paths(&paths).next())
+            .filter(|path| path.is_absolute());
+        let of_user = || variable("XDG_STATE_HOME").map(|path| Path::new(&path).join("relief"));
+        let of_home = || variable("HOME").map(|path| Path::new(&path).join(".local/state/relief"));
+        of_service
+            .or_else(of_user)
+            .or_else(of_home)
+            .ok_or(DataFolderError::Unknown)
+    }
+
+    /// Writes down where the daemon that has this directory listens: one line in `daemon.lock`.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn tell_address(&self, address: SocketAddr) -> io::Result<()> {
+        self.lock.set_len(0)?;
+        self.lock
+            .write_all_at(format!("http://{address}/\n").as_bytes(), 0)
+    }
+
+    /// The directory.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Where the scans lie.
+    pub fn sessions(&self) -> PathBuf {
+        self.root.join("sessions")
+    }
+
+    /// Where a scan lies, whether or not it is there.
+    pub fn session(&self, id: &SessionId) -> PathBuf {
+        self.sessions().join(&id.0)
+    }
+}
+
+/// Names a scan by its start, and four digits that tell scans of one second apart: `20261121T153000Z-4f2a`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct SessionId(String);
+
+impl SessionId {
+    /// A new name.
+    pub fn generate() -> Self {
+        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
+        let compact: String = now.chars().filter(|c| !matches!(c, '-' | ':')).collect();
+        SessionId(format!("{compact}-{:04x}", fastrand::u16(..)))
+    }
+
+    /// The name.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for SessionId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl FromStr for SessionId {
+    type Err = String;
+
+    /// Accepts what [`SessionId::generate`] makes and nothing else, so that a name never leads out of a folder.
+    fn from_str(text: &str) -> Result<Self, String> {
+        const SHAPE: &[u8] = b"00000000T000000Z-xxxx";
+        let fits = |(byte, shape): (u8, &u8)| match shape {
+            b'0' => byte.is_ascii_digit(),
+            b'x' => matches!(byte, b'0'..=b'9' | b'a'..=b'f'),
+            exact => byte == *exact,
+        };
+        match text.len() == SHAPE.len() && text.bytes().zip(SHAPE).all(fits) {
+            true => Ok(SessionId(text.to_owned())),
+            false => Err("names of scans look like 20261121T153000Z-4f2a".to_owned()),
+        }
+    }
+}
+
+impl TryFrom<String> for SessionId {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<SessionId> for String {
+    fn from(id: SessionId) -> String {
+        id.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_data_directory_is_held_by_one_daemon() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("state/relief");
+        let held = DataFolder::open(&path).unwrap();
+        let error = DataFolder::open(&path).unwrap_err();
+        assert!(matches!(error, DataFolderError::InUse(_)), "{error}");
+        drop(held);
+        drop(DataFolder::open(&path).unwrap());
+    }
+
+    #[test]
+    fn only_generated_names_are_names() {
+        let id = SessionId::generate();
+        assert_eq!(id.as_str().parse::<SessionId>(), Ok(id));
+        for text in [
+            "",
+            "..",
+            "20261121T153000Z-4F2A",
+            "20261121T153000Z-4f2a/",
+            "../sessions/20261121",
+            "20261121T153000Z-4f2",
+        ] {
+            assert!(text.parse::<SessionId>().is_err(), "{text}");
+        }
+    }
+}

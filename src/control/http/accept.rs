@@ -1,0 +1,130 @@
+//! The accept loop: few connections, short patience with each.
+
+use axum::Router;
+use hyper::{body::Incoming, server::conn::http1};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use std::{io, pin::pin, sync::Arc, time::Duration};
+use tokio::{
+    io::AsyncWriteExt,
+    net::{TcpListener, TcpStream},
+    sync::{OwnedSemaphorePermit, Semaphore, watch},
+    time,
+};
+use tower::ServiceExt;
+
+/// Connections at a time; who comes after is told to come back.
+pub const MAX_CONNECTIONS: usize = 64;
+
+/// How long a client may take for the head of a request, or keep a connection open without one.
+const HEAD_PATIENCE: Duration = Duration::from_secs(10);
+
+/// What a connection holds for a request that arrives, bytes; a head must fit in.
+const BUFFER_BYTES: usize = 32 * 1024;
+
+/// How long connections may take to end when the daemon does.
+const GOODBYE: Duration = Duration::from_secs(2);
+
+/// Said to who finds no place.
+const FULL: &[u8] =
+    b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+
+/// Accepts connections until dropped or [`Acceptor::goodbye`].
+pub struct Acceptor {
+    listener: TcpListener,
+    router: Router,
+    places: Arc<Semaphore>,
+    /// Changes when the daemon ends; every connection holds a receiver.
+    ending: watch::Sender<()>,
+}
+
+impl Acceptor {
+    /// Serves a router to whoever connects.
+    pub fn new(listener: TcpListener, router: Router) -> Self {
+        Acceptor {
+            listener,
+            router,
+            places: Arc::new(Semaphore::new(MAX_CONNECTIONS)),
+            ending: watch::Sender::new(()),
+        }
+    }
+
+    /// Accepts one connection after another; never returns, and may be dropped at any time.
+    pub async fn accept(&self) {
+        loop {
+            match self.listener.accept().await {
+                Ok((stream, _)) => self.admit(stream),
+                Err(error) => pause_after(&error).await,
+            }
+        }
+    }
+
+    fn admit(&self, stream: TcpStream) {
+        match self.places.clone().try_acquire_owned() {
+            Ok(place) => {
+                let (router, ending) = (self.router.clone(), self.ending.subscribe());
+                tokio::spawn(serve(stream, router, ending, place));
+            }
+            Err(_) => refuse(stream),
+        }
+    }
+
+    /// Takes no more connections, and gives those there are a moment to end.
+    pub async fn goodbye(self) {
+        drop(self.listener);
+        self.ending.send_replace(());
+        if time::timeout(GOODBYE, self.ending.closed()).await.is_err() {
+            tracing::debug!("some connections were cut");
+        }
+    }
+}
+
+async fn serve(
+    stream: TcpStream,
+    router: Router,
+    mut ending: watch::Receiver<()>,
+    _place: OwnedSemaphorePermit,
+) {
+    // Previews are small messages that must not wait for one another.
+    let _ = stream.set_nodelay(true);
+    let service = hyper::service::service_fn(move |request: hyper::Request<Incoming>| {
+        router.clone().oneshot(request)
+    });
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_PATIENCE)
+        .max_buf_size(BUFFER_BYTES)
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
+    let mut connection = pin!(connection);
+    let served = tokio::select! {
+        served = connection.as_mut() => served,
+        _ = ending.changed() => {
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
+    if let Err(error) = served {
+        tracing::debug!(%error, "a connection ended");
+    }
+}
+
+/// Says that there is no place, as far as that can be done without waiting.
+fn refuse(mut stream: TcpStream) {
+    tokio::spawn(async move {
+        let _ = time::timeout(Duration::from_secs(1), stream.write_all(FULL)).await;
+    });
+}
+
+/// A connection that ended before it was accepted costs nothing; without file descriptors a moment has to pass.
+async fn pause_after(error: &io::Error) {
+    let is_of_client = matches!(
+        error.kind(),
+        io::ErrorKind::ConnectionAborted
+            | io::ErrorKind::ConnectionReset
+            | io::ErrorKind::ConnectionRefused
+    );
+    if !is_of_client {
+        tracing::warn!(%error, "connections cannot be accepted");
+        time::sleep(Duration::from_millis(500)).await;
+    }
+}

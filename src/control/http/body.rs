@@ -1,0 +1,45 @@
+//! Bodies of requests: small JSON objects, checked before they are looked at.
+
+use super::problem::Problem;
+use axum::{
+    body::{Body, to_bytes},
+    extract::{FromRequest, Request},
+    http::StatusCode,
+};
+use serde::de::DeserializeOwned;
+
+/// Longest body of a request, bytes.
+pub const MAX_BODY_BYTES: usize = 64 * 1024;
+
+/// A JSON body; an empty one stands for the default.
+pub struct JsonBody<T>(pub T);
+
+impl<S: Send + Sync, T: DeserializeOwned + Default> FromRequest<S> for JsonBody<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, _state: &S) -> Result<Self, Problem> {
+        let bytes = read(request.into_body()).await?;
+        if bytes.is_empty() {
+            return Ok(JsonBody(T::default()));
+        }
+        serde_json::from_slice(&bytes)
+            .map(JsonBody)
+            .map_err(|error| Problem::bad_request("bad_body", error))
+    }
+}
+
+async fn read(body: Body) -> Result<Vec<u8>, Problem> {
+    match to_bytes(body, MAX_BODY_BYTES).await {
+        Ok(bytes) => Ok(bytes.into()),
+        Err(_) => Err(too_long()),
+    }
+}
+
+/// The refusal of a body beyond [`MAX_BODY_BYTES`].
+pub fn too_long() -> Problem {
+    Problem::new(
+        StatusCode::PAYLOAD_TOO_LARGE,
+        "body_too_long",
+        format!("the body must be whole and at most {MAX_BODY_BYTES} bytes long"),
+    )
+}

@@ -1,0 +1,76 @@
+// The daemon's API: one function for each thing that the page does, refusals as `Refusal`.
+
+const ROOT = '/api/v1';
+
+/** What the daemon answered instead of doing it; `code` is stable, `message` is for the operator. */
+export class Refusal extends Error {
+  constructor(status, problem) {
+    super(problem.detail || problem.title || `the daemon answered ${status}`);
+    this.status = status;
+    this.code = problem.code || 'unknown';
+  }
+}
+
+async function ask(method, path, body) {
+  const request = { method, headers: { Accept: 'application/json' } };
+  if (body !== undefined) {
+    request.headers['Content-Type'] = 'application/json';
+    request.body = JSON.stringify(body);
+  }
+  const response = await fetch(ROOT + path, request);
+  const text = await response.text();
+  if (!response.ok) throw new Refusal(response.status, parsed(text) ?? {});
+  return parsed(text);
+}
+
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    return null;
+  }
+}
+
+export const status = () => ask('GET', '/status');
+export const path = () => ask('GET', '/scan/path');
+export const snapshots = () => ask('GET', '/scan/snapshots');
+export const sessions = () => ask('GET', '/sessions');
+export const session = (id) => ask('GET', `/sessions/${encodeURIComponent(id)}`);
+
+/** `label` is what the operator calls the scan; none if empty. */
+export const start = (label) => ask('POST', '/scan', label ? { label } : {});
+/** One of pause, resume, snapshot, refine, reset, finish, abandon. */
+export const command = (name) => ask('POST', `/scan/${name}`);
+export const undo = (secs) => ask('POST', '/scan/undo', { secs });
+export const refineSession = (id) => ask('POST', `/sessions/${encodeURIComponent(id)}/refine`);
+export const cancelJob = (job) => ask('POST', `/jobs/${encodeURIComponent(job)}/cancel`);
+
+export const snapshotImage = (index) => `${ROOT}/scan/snapshots/${index}.png`;
+export const sessionFile = (id, name) => `${ROOT}/sessions/${encodeURIComponent(id)}/files/${name}`;
+export const sessionMesh = (id, which) => `${ROOT}/sessions/${encodeURIComponent(id)}/mesh?which=${which}`;
+
+/** A mesh of a finished scan, as bytes. */
+export async function meshBytes(address) {
+  const response = await fetch(address);
+  if (!response.ok) throw await refusalOf(response);
+  return response.arrayBuffer();
+}
+
+/** The growing mesh unless it is still the one with this tag: `{bytes, tag}`, or `null`. */
+export async function newerMesh(lod, tag) {
+  const headers = tag ? { 'If-None-Match': tag } : {};
+  const response = await fetch(`${ROOT}/scan/mesh?lod=${lod}`, { headers, cache: 'no-store' });
+  if (response.status === 304) return null;
+  if (!response.ok) throw await refusalOf(response);
+  return { bytes: await response.arrayBuffer(), tag: response.headers.get('ETag') };
+}
+
+async function refusalOf(response) {
+  return new Refusal(response.status, parsed(await response.text()) ?? {});
+}
+
+/** Address of the newest-only socket. */
+export function socketAddress() {
+  const scheme = location.protocol === 'https:' ? 'wss:' : 'ws:';
+  return `${scheme}//${location.host}${ROOT}/ws`;
+}

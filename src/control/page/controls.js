@@ -1,0 +1,103 @@
+// The buttons. Which of them make sense follows from the state; the daemon has the last word, and its refusal is shown.
+
+import * as api from './api.js';
+
+const UNDO_SECS = 5;
+const SCANNING = ['warming', 'tracking', 'degraded', 'lost', 'relocalising', 'paused', 'snapshotting'];
+const RUNNING = SCANNING.filter((state) => state !== 'paused');
+const HOLDING = ['tracking', 'degraded'];
+/** In which states a button can be pressed. */
+const ALLOWED = {
+  start: ['idle', 'fault'],
+  pause: RUNNING,
+  resume: ['paused'],
+  snapshot: HOLDING,
+  undo: [...HOLDING, 'lost', 'relocalising', 'paused'],
+  reset: SCANNING,
+  stop: SCANNING,
+};
+
+export class Controls {
+  #buttons = Object.fromEntries(
+    ['start', 'pause', 'resume', 'snapshot', 'undo', 'refine', 'reset', 'stop', 'export']
+      .map((name) => [name, document.getElementById(name)]),
+  );
+  #label = document.getElementById('label');
+  #status = null;
+  #lastSession = null;
+  #report;
+
+  /** `on.report(error)` is told of refusals, `on.export()` opens the list of files. */
+  constructor(on) {
+    this.#report = on.report;
+    this.#bind('start', async () => {
+      await api.start(this.#label.value.trim());
+      this.#label.value = '';
+    });
+    for (const name of ['pause', 'resume', 'snapshot']) this.#bind(name, () => api.command(name));
+    this.#bind('undo', () => api.undo(UNDO_SECS));
+    this.#bind('refine', () => (this.#isScanning() ? api.command('refine') : api.refineSession(this.#lastSession.id)));
+    this.#bind('reset', async () => {
+      const isMeant = await confirmed('Drop the model?', 'All that was scanned since the start is thrown away; the camera goes on.', 'Drop it');
+      if (isMeant) await api.command('reset');
+    });
+    this.#bind('stop', () => api.command('finish'));
+    this.#buttons.export.addEventListener('click', on.export);
+    this.#update();
+  }
+
+  /** `status`: `null` while the daemon does not answer. `lastSession`: the newest finished scan `{id, …}` or `null`. */
+  show(status, lastSession) {
+    this.#status = status;
+    this.#lastSession = lastSession;
+    this.#update();
+  }
+
+  #isScanning() {
+    return SCANNING.includes(this.#status?.state);
+  }
+
+  #update() {
+    const state = this.#status?.state;
+    // Before anything is disabled or hidden, which takes the focus away.
+    const focused = document.activeElement;
+    for (const [name, states] of Object.entries(ALLOWED)) this.#buttons[name].disabled = !states.includes(state);
+    const canRefine = this.#isScanning() ? this.#status.snapshots.accepted > 0 : state === 'idle' && this.#lastSession !== null;
+    this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
+    this.#buttons.export.disabled = !this.#status || this.#lastSession === null;
+    if (!state) return;
+    document.getElementById('name').hidden = !ALLOWED.start.includes(state);
+    const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';
+    for (const name of ['start', 'pause', 'resume']) this.#buttons[name].hidden = name !== shown;
+    // Three buttons share a place: the focus goes on to the one that takes it.
+    if (focused?.hidden && focused.matches('.primary')) this.#buttons[shown].focus();
+  }
+
+  #bind(name, act) {
+    const button = this.#buttons[name];
+    button.addEventListener('click', async () => {
+      if (button.ariaBusy === 'true') return;
+      button.ariaBusy = 'true';
+      try {
+        await act();
+      } catch (error) {
+        this.#report(error);
+      } finally {
+        button.ariaBusy = 'false';
+      }
+    });
+  }
+}
+
+/** Asks before something is lost; whether it was confirmed. */
+function confirmed(title, text, yes) {
+  const dialog = document.getElementById('confirm');
+  document.getElementById('confirm-title').textContent = title;
+  document.getElementById('confirm-text').textContent = text;
+  document.getElementById('confirm-yes').textContent = yes;
+  dialog.returnValue = 'cancel';
+  dialog.showModal();
+  return new Promise((resolve) => {
+    dialog.addEventListener('close', () => resolve(dialog.returnValue === 'yes'), { once: true });
+  });
+}

@@ -1,0 +1,55 @@
+// How far the refinement is.
+
+import * as api from './api.js';
+import { duration } from './words.js';
+
+const WORDS = {
+  none: 'Starts when a scan is stopped.',
+  waiting: 'Waits for its turn.',
+  running: 'The surface is moved until it explains the shading.',
+  done: 'Done. Compare the meshes in the view.',
+  refused: 'The shading images do not confirm a better surface; the fused mesh stands.',
+  failed: 'Failed; the fused mesh stands.',
+  cancelled: 'Cancelled; the fused mesh stands.',
+  superseded: 'Overtaken by a newer set of shading images.',
+};
+
+export class Refinement {
+  #card = document.getElementById('refinement');
+  #words = document.getElementById('refinement-words');
+  #progress = document.getElementById('refinement-progress');
+  #bar = document.getElementById('refinement-bar');
+  #cancel = document.getElementById('refinement-cancel');
+  #figures = Object.fromEntries(
+    ['round', 'step', 'energy', 'rmse', 'left'].map((name) => [name, document.getElementById(`refinement-${name}`)]),
+  );
+  #job = null;
+
+  /** `report(error)` is told of what the daemon refuses. */
+  constructor(report) {
+    this.#cancel.addEventListener('click', () => api.cancelJob(this.#job).catch(report));
+  }
+
+  show(refinement) {
+    const { state, message, job } = refinement;
+    this.#job = job;
+    this.#card.dataset.state = state;
+    this.#words.textContent = message ? `${WORDS[state] ?? state} ${message}` : WORDS[state] ?? state;
+    this.#progress.hidden = state === 'none' || state === 'waiting';
+    this.#cancel.hidden = state !== 'running' || !job;
+    if (!this.#progress.hidden) this.#showFigures(refinement);
+  }
+
+  #showFigures({ state, round, step, energy_share: energy, rmse, secs_left: left }) {
+    const [nth, of] = round;
+    if (state === 'done') this.#bar.value = 1;
+    else if (of > 0) this.#bar.value = Math.max(nth - 1, 0) / of;
+    else this.#bar.removeAttribute('value');
+    const say = (name, value) => { this.#figures[name].textContent = value ?? '–'; };
+    say('round', of > 0 ? `${nth} of ${of}` : null);
+    say('step', step);
+    say('energy', energy === null ? null : `${(100 * energy).toFixed(0)} %`);
+    say('rmse', rmse === null ? null : rmse.toPrecision(3));
+    say('left', left === null || state !== 'running' ? null : duration(left));
+  }
+}

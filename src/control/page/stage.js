@@ -1,0 +1,148 @@
+// The view with what stands around it: its modes, options, legend, and the hint where to go next.
+
+import { COVERAGE, drawBar } from './colour.js';
+import { Compare } from './compare.js';
+import { LiveMesh } from './live_mesh.js';
+import { View } from './scene.js';
+import { turnLight } from './surface.js';
+
+const COVERAGE_LEGEND = { stops: COVERAGE, ticks: ['needs views', 'enough'] };
+
+export class Stage {
+  #section = document.querySelector('[data-testid=stage]');
+  #modes = [...document.querySelectorAll('.segments button')];
+  #coverage = document.getElementById('coverage');
+  #hint = document.getElementById('hint');
+  #why = '';
+  #isLost = false;
+  #hasScan = false;
+  #view;
+  #live;
+  #compare;
+  #report;
+
+  /** Throws if the browser has no WebGL; `report(error)` is told of meshes that do not come. */
+  constructor(report) {
+    this.#report = report;
+    const notice = document.getElementById('scene-notice');
+    this.#view = new View(document.getElementById('scene'), (text) => {
+      notice.textContent = text;
+      notice.hidden = text === '';
+    });
+    this.#live = new LiveMesh(this.#view, ({ revision, nFaces, lod, coverage }) => {
+      Object.assign(this.#section.dataset, { revision, faces: nFaces, lod, coverage: coverage.toFixed(3) });
+      document.getElementById('coverage-share').textContent = `${Math.round(100 * coverage)} %`;
+    });
+    this.#compare = new Compare(this.#view);
+    this.#view.onMoving = (isMoving) => {
+      this.#live.moving = isMoving;
+      this.#compare.moving = isMoving;
+    };
+    this.#listen();
+    this.#paint();
+  }
+
+  #listen() {
+    for (const button of this.#modes) button.addEventListener('click', () => this.#switch(button.dataset.mode));
+    document.getElementById('fit').addEventListener('click', () => this.#view.fit());
+    this.#coverage.addEventListener('change', () => this.#paint());
+    document.getElementById('light').addEventListener('input', ({ target }) => {
+      turnLight(Number(target.value));
+      this.#view.request();
+    });
+  }
+
+  /** The newest status of the daemon. */
+  follow({ scan }) {
+    if (scan) this.#view.markers.sensor = scan.device.sensor;
+    else if (this.#hasScan) this.#forgetCamera();
+    this.#hasScan = Boolean(scan);
+    if (scan && this.#view.mode === 'live') this.#live.follow();
+  }
+
+  /** Forgets the model: another scan began. */
+  clear() {
+    this.#live.clear();
+    document.getElementById('coverage-share').textContent = '';
+    this.#forgetCamera();
+    if (this.#view.mode !== 'live') this.#switch('live');
+  }
+
+  /** The finished scan to compare, or `null`. */
+  offer(session) {
+    this.#compare.offer(session?.id ?? null);
+    for (const button of this.#modes) button.disabled = button.dataset.mode !== 'live' && !session;
+  }
+
+  /** Shows a finished scan's meshes. */
+  compare(session) {
+    this.offer(session);
+    return this.#switch('compare');
+  }
+
+  showPose(pose) {
+    this.#view.markers.showPose(pose);
+    if (pose.isLost !== this.#isLost) {
+      this.#isLost = pose.isLost;
+      this.#showHint();
+    }
+    this.#view.keepInView();
+    this.#view.request();
+  }
+
+  showPath(path) {
+    this.#view.markers.showPath(path);
+    this.#why = path.next?.why ?? '';
+    this.#showHint();
+    this.#view.request();
+  }
+
+  #forgetCamera() {
+    this.#view.markers.clear();
+    this.#isLost = false;
+    this.#why = '';
+    this.#showHint();
+    this.#view.request();
+  }
+
+  /** What the coloured cameras in the view mean. */
+  #showHint() {
+    const text = this.#isLost ? 'Red: where the camera was tracked last. Bring it back there.' : this.#why;
+    this.#hint.textContent = text;
+    this.#hint.dataset.tone = this.#isLost ? 'bad' : 'good';
+    this.#hint.hidden = text === '';
+  }
+
+  async #switch(mode) {
+    try {
+      if (mode !== 'live') await this.#compare.load();
+    } catch (error) {
+      this.#report(error);
+      return;
+    }
+    this.#section.dataset.mode = mode;
+    for (const button of this.#modes) button.setAttribute('aria-pressed', button.dataset.mode === mode);
+    this.#compare.showDivider(mode === 'compare');
+    this.#view.show(mode);
+    this.#paint();
+  }
+
+  #paint() {
+    const { mode } = this.#view;
+    this.#view.surfaces.live.painted = this.#coverage.checked;
+    document.getElementById('coverage-option').hidden = mode !== 'live';
+    const isPainted = mode === 'difference' || (mode === 'live' && this.#coverage.checked);
+    document.getElementById('legend').hidden = !isPainted;
+    if (isPainted) showLegend(mode === 'difference' ? this.#compare.legend : COVERAGE_LEGEND);
+    this.#view.request();
+  }
+}
+
+function showLegend({ stops, ticks }) {
+  drawBar(document.getElementById('legend-bar'), stops);
+  document.getElementById('legend-ticks').replaceChildren(...ticks.map((text) => {
+    const tick = document.createElement('span');
+    tick.textContent = text;
+    return tick;
+  }));
+}

@@ -1,0 +1,249 @@
+//! The scans in the data directory: what there is, which files can be had, and how one goes.
+
+use super::{
+    camera_source::DeviceName,
+    data_folder::{DataFolder, SessionId},
+    scan_record::ScanRecord,
+};
+use serde::Serialize;
+use serde_json::Value;
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+use utoipa::ToSchema;
+
+/// A file that clients may have, and its kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SessionFile {
+    /// Its name in the scan's folder, and in the address.
+    pub name: &'static str,
+    /// Its kind.
+    pub media_type: &'static str,
+}
+
+const PLY: &str = "application/octet-stream";
+
+/// All that clients may have of a scan.
+pub const FILES: [SessionFile; 7] = [
+    SessionFile {
+        name: "base.ply",
+        media_type: PLY,
+    },
+    SessionFile {
+        name: "refined.ply",
+        media_type: PLY,
+    },
+    SessionFile {
+        name: "refined.glb",
+        media_type: "model/gltf-binary",
+    },
+    SessionFile {
+        name: "trajectory.txt",
+        media_type: "text/plain; charset=utf-8",
+    },
+    SessionFile {
+        name: "report.html",
+        media_type: "text/html; charset=utf-8",
+    },
+    SessionFile {
+        name: "report.json",
+        media_type: "application/json",
+    },
+    SessionFile {
+        name: "events.jsonl",
+        media_type: "application/x-ndjson",
+    },
+];
+
+/// A scan, as clients see it.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct SessionBody {
+    /// Its name.
+    pub id: String,
+    /// What the operator calls it.
+    pub label: Option<String>,
+    /// The scan that it is a part of, if it was written down on the way.
+    pub interim_of: Option<String>,
+    /// When it started, milliseconds since 1970.
+    pub started_unix_ms: u64,
+    /// When it ended.
+    pub ended_unix_ms: Option<u64>,
+    /// `scanning`, `complete`, `failed`, or `interrupted` if the daemon ended before it.
+    pub state: &'static str,
+    /// What went wrong.
+    pub failures: Vec<String>,
+    /// The camera.
+    pub device: DeviceName,
+    /// Files that can be had.
+    pub files: Vec<FileBody>,
+    /// Room that the folder takes, bytes.
+    pub bytes: u64,
+}
+
+/// A file that can be had.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub struct FileBody {
+    /// Its name.
+    pub name: &'static str,
+    /// Its length.
+    pub bytes: u64,
+}
+
+/// The scans, the newest first; `running` is the one that goes on.
+pub fn list(data: &DataFolder, running: Option<&SessionId>) -> io::Result<Vec<SessionBody>> {
+    let mut ids: Vec<SessionId> = Vec::new();
+    for entry in fs::read_dir(data.sessions())? {
+        let name = entry?.file_name();
+        ids.extend(name.to_str().and_then(|name| name.parse().ok()));
+    }
+    ids.sort_unstable_by(|a, b| b.cmp(a));
+    // A folder that goes while it is looked at is none.
+    let sessions = ids.iter().filter_map(|id| read(data, id, running).ok());
+    Ok(sessions.collect())
+}
+
+/// One scan.
+///
+/// # Errors
+/// [`io::ErrorKind::NotFound`] if there is no such scan.
+pub fn read(
+    data: &DataFolder,
+    id: &SessionId,
+    running: Option<&SessionId>,
+) -> io::Result<SessionBody> {
+    let folder = existing(data, id)?;
+    let record = ScanRecord::read(&folder)?;
+    Ok(SessionBody {
+        state: state(&record, running),
+        files: FILES.iter().filter_map(|file| file.body(&folder)).collect(),
+        bytes: folder_bytes(&folder)?,
+        id: record.id.into(),
+        label: record.label,
+        interim_of: record.interim_of.map(String::from),
+        started_unix_ms: record.started_unix_ms,
+        ended_unix_ms: record.ended_unix_ms,
+        failures: record.failures,
+        device: record.device,
+    })
+}
+
+/// A scan's report, once it is written.
+pub fn report(data: &DataFolder, id: &SessionId) -> Option<Value> {
+    let text = fs::read_to_string(data.session(id).join("report.json")).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+/// Where a file lies that clients may have; `None` for any other name.
+///
+/// # Errors
+/// [`io::ErrorKind::NotFound`] if there is no such scan or file.
+pub fn file(data: &DataFolder, id: &SessionId, name: &str) -> io::Result<(SessionFile, PathBuf)> {
+    let file = FILES.into_iter().find(|file| file.name == name);
+    let file = file.ok_or(io::ErrorKind::NotFound)?;
+    let path = existing(data, id)?.join(file.name);
+    match fs::symlink_metadata(&path)?.is_file() {
+        true => Ok((file, path)),
+        false => Err(io::ErrorKind::NotFound.into()),
+    }
+}
+
+/// Removes a scan and all that belongs to it.
+///
+/// # Errors
+/// If there is no such scan, or the system refuses.
+pub fn remove(data: &DataFolder, id: &SessionId) -> io::Result<()> {
+    fs::remove_dir_all(existing(data, id)?)
+}
+
+impl SessionFile {
+    fn body(&self, folder: &Path) -> Option<FileBody> {
+        let metadata = fs::symlink_metadata(folder.join(self.name)).ok()?;
+        metadata.is_file().then_some(FileBody {
+            name: self.name,
+            bytes: metadata.len(),
+        })
+    }
+}
+
+/// The folder of a scan that is there, and is no link to elsewhere.
+fn existing(data: &DataFolder, id: &SessionId) -> io::Result<PathBuf> {
+    let folder = data.session(id);
+    match fs::symlink_metadata(&folder)?.is_dir() {
+        true => Ok(folder),
+        false => Err(io::ErrorKind::NotFound.into()),
+    }
+}
+
+fn state(record: &ScanRecord, running: Option<&SessionId>) -> &'static str {
+    match record.ended_unix_ms {
+        None if running == Some(&record.id) => "scanning",
+        None => "interrupted",
+        Some(_) if record.failures.is_empty() => "complete",
+        Some(_) => "failed",
+    }
+}
+
+/// Bytes of all files in a folder and the folders in it; links are not followed.
+fn folder_bytes(folder: &Path) -> io::Result<u64> {
+    let mut bytes = 0;
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let Ok(metadata) = entry.metadata() else {
+            // Files come and go while a scan goes on.
+            continue;
+        };
+        bytes += match metadata.is_dir() {
+            true => folder_bytes(&entry.path())?,
+            false => metadata.len(),
+        };
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    fn device() -> DeviceName {
+        DeviceName {
+            serial: "1".to_owned(),
+            sensor: "kinect2".to_owned(),
+        }
+    }
+
+    #[test]
+    fn only_what_is_a_scan_is_listed_and_only_files_of_the_table_are_had() {
+        let root = tempfile::tempdir().unwrap();
+        let data = DataFolder::open(root.path()).unwrap();
+        let id = SessionId::generate();
+        let folder = data.session(&id);
+        fs::create_dir(&folder).unwrap();
+        let record = ScanRecord::started(id.clone(), Some("vase".to_owned()), device());
+        record.write(&folder).unwrap();
+        fs::write(folder.join("base.ply"), "12345").unwrap();
+        symlink("/etc/passwd", folder.join("report.json")).unwrap();
+        fs::create_dir(data.sessions().join("other")).unwrap();
+
+        let sessions = list(&data, None).unwrap();
+        assert_eq!(sessions.len(), 1);
+        assert_eq!(sessions[0].state, "interrupted");
+        let files: Vec<_> = sessions[0]
+            .files
+            .iter()
+            .map(|f| (f.name, f.bytes))
+            .collect();
+        assert_eq!(files, [("base.ply", 5)]);
+        assert_eq!(list(&data, Some(&id)).unwrap()[0].state, "scanning");
+
+        assert!(file(&data, &id, "base.ply").is_ok());
+        for name in ["report.json", "scan.json", "../base.ply", "refined.ply"] {
+            let error = file(&data, &id, name).unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::NotFound, "{name}");
+        }
+        remove(&data, &id).unwrap();
+        assert!(list(&data, None).unwrap().is_empty());
+        assert!(remove(&data, &id).is_err());
+    }
+}

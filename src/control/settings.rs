@@ -1,0 +1,183 @@
+//! What scans are made with: the configuration, read anew on request.
+
+use super::camera_source::CameraSource;
+use crate::{
+    config::{self, CalibrationPlaces, Config, ConfigError, Overrides},
+    pipeline::{PipelineParams, WhenFull},
+};
+use depth_camera::CameraInfo;
+use std::{
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
+};
+
+/// Where the settings come from.
+#[derive(Clone, Debug)]
+pub struct SettingsPlaces {
+    /// The configuration; without one all keys keep their defaults.
+    pub config: Option<PathBuf>,
+    /// The calibration that the operator names.
+    pub calibration: Option<PathBuf>,
+    /// The folder of the calibrations named by serial number.
+    pub calibration_dir: PathBuf,
+    /// Threads of each pool.
+    pub n_threads: NonZeroUsize,
+    /// Whether frames are recorded.
+    pub record: bool,
+}
+
+/// The settings in force, and why the newest file is not, if it is not.
+#[derive(Debug)]
+pub struct Settings {
+    places: SettingsPlaces,
+    current: Mutex<Current>,
+}
+
+#[derive(Clone, Debug)]
+struct Current {
+    config: Config,
+    error: Option<ConfigError>,
+}
+
+impl Settings {
+    /// Reads the settings.
+    ///
+    /// # Errors
+    /// For a configuration that cannot be read or makes no sense.
+    pub fn read(places: SettingsPlaces) -> Result<Self, ConfigError> {
+        let config = read_config(&places)?;
+        Ok(Settings {
+            places,
+            current: Mutex::new(Current {
+                config,
+                error: None,
+            }),
+        })
+    }
+
+    /// Reads the file anew, for the scans that start from now on; if it makes no sense the old settings stay.
+    ///
+    /// # Errors
+    /// As [`Settings::read`]; the error is kept until a reload goes well.
+    pub fn reload(&self) -> Result<(), ConfigError> {
+        let read = read_config(&self.places);
+        let mut current = self.current();
+        match read {
+            Ok(config) => {
+                *current = Current {
+                    config,
+                    error: None,
+                };
+                Ok(())
+            }
+            Err(error) => {
+                current.error = Some(error.clone());
+                Err(error)
+            }
+        }
+    }
+
+    /// The configuration in force.
+    pub fn config(&self) -> Config {
+        self.current().config.clone()
+    }
+
+    /// The configuration in force as TOML, all keys.
+    pub fn to_toml(&self) -> String {
+        // A configuration came from TOML, or is the default, which a test writes as TOML.
+        toml::to_string(&self.config()).unwrap_or_default()
+    }
+
+    /// Where calibrations named by serial number lie.
+    pub fn calibration_dir(&self) -> &Path {
+        &self.places.calibration_dir
+    }
+
+    /// Why the newest file is not in force.
+    pub fn error(&self) -> Option<ConfigError> {
+        self.current().error.clone()
+    }
+
+    /// Whether there is a file to read anew, and which.
+    pub fn file(&self) -> Option<&Path> {
+        self.places.config.as_deref()
+    }
+
+    /// What a scan with a camera is to know; refinement is another process's.
+    ///
+    /// # Errors
+    /// For a calibration that cannot be read or makes no sense.
+    pub fn scan_params(
+        &self,
+        session: &str,
+        info: &CameraInfo,
+        source: &CameraSource,
+    ) -> Result<PipelineParams, ConfigError> {
+        let config = self.config();
+        let found = config::find_calibration(
+            info,
+            &CalibrationPlaces {
+                given: self.places.calibration.as_deref(),
+                folder: &self.places.calibration_dir,
+                session: source.session(),
+            },
+        )?;
+        Ok(PipelineParams {
+            session: session.to_owned(),
+            capture: config.capture,
+            multipath: config.multipath,
+            fusion: config.fusion,
+            snapshot: config.snapshot,
+            object: config.object,
+            refine: None,
+            warnings: found.announce(info),
+            calibration_source: found.source.to_string(),
+            calibration: found.calibration,
+            roi: None,
+            poses: None,
+            n_threads: self.places.n_threads,
+            when_full: WhenFull::Drop,
+            record: self.places.record,
+        })
+    }
+
+    fn current(&self) -> MutexGuard<'_, Current> {
+        // Settings are put whole: what a panic left behind is as good as any.
+        self.current.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn read_config(places: &SettingsPlaces) -> Result<Config, ConfigError> {
+    Config::layered(places.config.as_deref(), &Overrides::default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn a_file_that_makes_no_sense_changes_nothing_and_is_told_of() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("relief.toml");
+        fs::write(&path, "[fusion]\nvoxel_size_m = 0.004\n").unwrap();
+        let settings = Settings::read(SettingsPlaces {
+            config: Some(path.clone()),
+            calibration: None,
+            calibration_dir: folder.path().to_owned(),
+            n_threads: NonZeroUsize::MIN,
+            record: false,
+        })
+        .unwrap();
+        fs::write(&path, "[fusion]\nvoxel_size_m = -1.0\n").unwrap();
+        settings.reload().unwrap_err();
+        assert_eq!(settings.config().fusion.voxel_size_m, 0.004);
+        let error = settings.error().unwrap().to_string();
+        assert!(error.contains("fusion.voxel_size_m is -1"), "{error}");
+        fs::write(&path, "[fusion]\nvoxel_size_m = 0.005\n").unwrap();
+        settings.reload().unwrap();
+        assert_eq!(settings.config().fusion.voxel_size_m, 0.005);
+        assert_eq!(settings.error(), None);
+    }
+}

@@ -1,0 +1,103 @@
+// Debian's Chromium, headless, with WebGL in software, and what the tests ask of its pages.
+
+import { strict as assert } from 'node:assert';
+import { mkdir } from 'node:fs/promises';
+import { fileURLToPath } from 'node:url';
+import { chromium } from 'playwright-core';
+import { pixels } from './png.mjs';
+
+const SCREENSHOTS = fileURLToPath(new URL('screenshots/', import.meta.url));
+const ARGUMENTS = [
+  '--no-sandbox', '--disable-gpu', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--disable-quic', '--no-first-run',
+  '--disable-background-networking', '--disable-component-update', '--disable-sync',
+];
+/** Widths that the page is made for. */
+export const DESKTOP = { viewport: { width: 1440, height: 900 } };
+export const PHONE = { viewport: { width: 390, height: 844 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true };
+
+export function launch(...more) {
+  return chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: [...ARGUMENTS, ...more] });
+}
+
+/** A page on a daemon that is idle; it remembers what went wrong in it, for `assertClean`, and is closed with the test. */
+export async function openPage(test, browser, base, device = DESKTOP) {
+  const context = await browser.newContext({ ...device, reducedMotion: 'reduce', acceptDownloads: true });
+  test.after(() => context.close());
+  // Refused if no scan is going on.
+  await context.request.post(`${base}/api/v1/scan/abandon`, { headers: { Origin: base } });
+  const page = await context.newPage();
+  const faults = [];
+  page.on('pageerror', (error) => faults.push(error.stack));
+  page.on('console', (message) => {
+    if (/content security policy/i.test(message.text())) faults.push(message.text());
+  });
+  page.on('request', (request) => {
+    if (new URL(request.url()).host !== new URL(base).host) faults.push(`asked ${request.url()}`);
+  });
+  await page.goto(base);
+  await state(page, 'idle');
+  return { page, faults };
+}
+
+/** No script failed, nothing broke the policy, nothing was asked of another host. */
+export function assertClean({ faults }) {
+  assert.deepEqual(faults, []);
+}
+
+/** Waits until the daemon tells one of these states. */
+export async function state(page, ...names) {
+  await page.waitForFunction((wanted) => wanted.includes(document.body.dataset.state), names, { timeout: 120_000 });
+}
+
+/** Waits until a number in an element's data rises above a value, and returns it. */
+export async function rises(page, selector, key, above) {
+  const handle = await page.waitForFunction(
+    ([where, name, bound]) => {
+      const value = Number(document.querySelector(where).dataset[name]);
+      return value > bound ? value : false;
+    },
+    [selector, key, above],
+    { timeout: 60_000 },
+  );
+  return handle.jsonValue();
+}
+
+/** The pixels of the view of the model, without what lies over it. */
+export async function look(page) {
+  await cover(page, 'hidden');
+  const image = pixels(await page.getByTestId('scene').screenshot({ scale: 'css' }));
+  await cover(page, '');
+  return image;
+}
+
+/** The policy forbids style sheets of the browser's driver, not styles set by a script. */
+function cover(page, visibility) {
+  return page.locator('.stage-top, .stage-bottom, .hint, .divider, .divider input')
+    .evaluateAll((elements, value) => elements.forEach((element) => { element.style.visibility = value; }), visibility);
+}
+
+/** How many pixels of an image, from column to column, have a property. */
+export function count(image, has, from = 0, to = image.width) {
+  let n = 0;
+  for (let y = 0; y < image.height; y += 1) {
+    for (let x = from; x < to; x += 1) if (has(image.at(x, y))) n += 1;
+  }
+  return n;
+}
+
+/** The share of pixels between two columns that differ. */
+export function differing(one, other, from, to) {
+  let n = 0;
+  for (let y = 0; y < one.height; y += 1) {
+    for (let x = from; x < to; x += 1) {
+      const [a, b] = [one.at(x, y), other.at(x, y)];
+      if (a.some((value, channel) => Math.abs(value - b[channel]) > 6)) n += 1;
+    }
+  }
+  return n / (one.height * (to - from));
+}
+
+export async function save(page, name) {
+  await mkdir(SCREENSHOTS, { recursive: true });
+  await page.screenshot({ path: `${SCREENSHOTS}${name}.png` });
+}

@@ -1,0 +1,273 @@
+// The live page in a real browser. By default against the stand-in; against a daemon with RELIEF_PAGE_URL=http://127.0.0.1:8047,
+// which has to replay a recording that loses track once (with `--repeat` the jump back to its start does).
+
+import { strict as assert } from 'node:assert';
+import { after, before, test } from 'node:test';
+import { DESKTOP, PHONE, assertClean, count, differing, launch, look, openPage, rises, save, state } from './browser.mjs';
+import { standIn } from './stand_in.mjs';
+
+const DAEMON = process.env.RELIEF_PAGE_URL;
+const NEEDS_STAND_IN = DAEMON ? 'needs the stand-in' : false;
+const SCANNING = ['tracking', 'degraded'];
+const STAGE = '[data-testid=stage]';
+
+const isLit = ([red, green, blue]) => red + green + blue > 280;
+const isPaint = ([red, green, blue]) => Math.max(red, green, blue) - Math.min(red, green, blue) > 50;
+const isGhost = ([red, green, blue]) => red > 190 && green < 150 && blue < 140 && red - green > 80;
+const isBlue = ([red, , blue]) => blue - red > 30;
+const isRed = ([red, , blue]) => red - blue > 50;
+
+let browser;
+let server;
+let base;
+
+before(async () => {
+  server = DAEMON ? null : await standIn();
+  base = DAEMON ?? server.base;
+  browser = await launch();
+});
+
+after(async () => {
+  await browser?.close();
+  await server?.close();
+});
+
+test('a whole session', { timeout: 600_000 }, async (t) => {
+  const opened = await openPage(t, browser, base);
+  const { page } = opened;
+  const button = (name) => page.getByTestId(name);
+
+  await t.test('is idle and offers to start', async () => {
+    assert.equal(await page.getByTestId('state-title').innerText(), 'Ready');
+    assert.ok(await button('start').isEnabled());
+    for (const name of ['snapshot', 'undo', 'reset', 'stop']) assert.ok(await button(name).isDisabled(), name);
+  });
+
+  await t.test('tracks, and the mesh and its coverage grow', async () => {
+    await page.getByTestId('label').fill('Medallion');
+    await button('start').click();
+    await state(page, ...SCANNING);
+    assert.match(await page.getByTestId('device').innerText(), /^Medallion · Kinect/);
+    const faces = await rises(page, STAGE, 'faces', 0);
+    const coverage = Number(await page.locator(STAGE).getAttribute('data-coverage'));
+    await rises(page, STAGE, 'faces', faces);
+    await rises(page, STAGE, 'coverage', coverage);
+    assert.ok(await page.locator('#fitness-ring').getAttribute('aria-valuenow') > 0);
+    await rises(page, '#depth', 'frame', 0);
+    await rises(page, '#ir', 'frame', 0);
+  });
+
+  await t.test('paints coverage, and plaster without it', async () => {
+    const painted = await look(page);
+    assert.ok(count(painted, isLit) > 500, 'the mesh is in view');
+    await page.getByTestId('coverage').uncheck();
+    await page.waitForTimeout(300);
+    const plain = await look(page);
+    await page.getByTestId('coverage').check();
+    assert.ok(count(painted, isPaint) > 2 * count(plain, isPaint), 'colours come from the paint');
+    await save(page, 'tracking');
+  });
+
+  await t.test('takes a shading image', async () => {
+    const seen = Number(await page.getByTestId('snapshot-count').getAttribute('data-seen'));
+    await button('snapshot').click();
+    await rises(page, '#snapshot-count', 'seen', seen);
+    assert.ok(await page.getByTestId('toast').isHidden(), 'it was not refused');
+    await page.locator('#snapshot-list li[data-accepted=true] img').first().waitFor();
+  });
+
+  await t.test('pauses without fusing, and resumes', async () => {
+    const fused = () => page.locator('#frame-table tr[data-key=fused] td').last().innerText();
+    await button('pause').click();
+    await state(page, 'paused');
+    await page.waitForTimeout(1000);
+    const before = await fused();
+    await page.waitForTimeout(1000);
+    assert.equal(await fused(), before);
+    await button('resume').click();
+    await state(page, ...SCANNING, 'lost', 'relocalising');
+  });
+
+  await t.test('says that track is lost, shows the ghost, and finds back', async () => {
+    await state(page, 'lost');
+    assert.match(await page.getByTestId('state-title').innerText(), /^Lost/);
+    assert.notEqual(await page.getByTestId('state-advice').innerText(), '');
+    await page.getByTestId('hint').getByText('Red:').waitFor();
+    assert.ok(count(await look(page), isGhost) > 20, 'the ghost is drawn');
+    await save(page, 'lost');
+    await state(page, ...SCANNING);
+  });
+
+  await t.test('takes back the last seconds', async () => {
+    await button('undo').click();
+    await page.waitForTimeout(500);
+    assert.ok(await page.getByTestId('toast').isHidden());
+  });
+
+  await t.test('accounts for every frame', async () => {
+    assert.equal(await page.getByTestId('frame-account').getAttribute('data-missing'), '0');
+  });
+
+  await t.test('stops, and refines', async () => {
+    await button('stop').click();
+    await state(page, 'idle');
+    const card = page.getByTestId('refinement');
+    await page.waitForFunction(() => document.getElementById('refinement').dataset.state === 'running', null, { timeout: 120_000 });
+    assert.match(await card.innerText(), /\d of \d/);
+    await save(page, 'refining');
+    await page.waitForFunction(() => document.getElementById('refinement').dataset.state === 'done', null, { timeout: 300_000 });
+  });
+
+  await t.test('wipes between the meshes', async () => {
+    await page.locator('#mode-compare:enabled').click();
+    await page.locator(`${STAGE}[data-compared][data-mode=compare]`).waitFor({ timeout: 60_000 });
+    const wiped = async (share) => {
+      await page.getByTestId('wipe').fill(String(1000 * share));
+      await page.waitForTimeout(1500);
+      return look(page);
+    };
+    const mostlyBase = await wiped(0.9);
+    const mostlyRefined = await wiped(0.1);
+    const column = (share) => Math.round(share * mostlyBase.width);
+    assert.ok(differing(mostlyBase, mostlyRefined, column(0.15), column(0.85)) > 0.01, 'the refined mesh shows more');
+    assert.equal(differing(mostlyBase, mostlyRefined, 0, column(0.08)), 0, 'left of the border both are the fused mesh');
+    await page.getByTestId('wipe').press('ArrowRight');
+    assert.equal(await page.getByTestId('wipe').inputValue(), '120');
+    await wiped(0.5);
+    await save(page, 'compare');
+  });
+
+  await t.test('shows the difference in millimetres', async () => {
+    await page.locator('#mode-difference').click();
+    await page.locator(`${STAGE}[data-mode=difference]`).waitFor();
+    await page.waitForTimeout(1500);
+    assert.match(await page.getByTestId('legend').innerText(), /−[\d.]+ mm[^]*\+[\d.]+ mm/);
+    const view = await look(page);
+    assert.ok(count(view, isBlue) > 50 && count(view, isRed) > 50, 'both directions are coloured');
+    await save(page, 'difference');
+  });
+
+  await t.test('exports', async () => {
+    await button('export').click();
+    const links = page.getByTestId('export-files').locator('a');
+    const names = await links.evaluateAll((all) => all.map((link) => link.dataset.file));
+    for (const name of ['base.ply', 'refined.ply', 'report.html']) assert.ok(names.includes(name), name);
+    const [download] = await Promise.all([page.waitForEvent('download'), links.and(page.locator('[data-file="trajectory.txt"]')).click()]);
+    assert.match(download.suggestedFilename(), /trajectory\.txt$/);
+    assert.equal(await download.failure(), null);
+    assert.match(await page.getByTestId('export-session').locator('option').first().innerText(), /^Medallion \(/);
+    await page.getByTestId('export-show').click();
+    await page.locator(`${STAGE}[data-mode=compare]`).waitFor();
+  });
+
+  assertClean(opened);
+});
+
+test('a reset is asked about, and begins anew', { timeout: 120_000 }, async (t) => {
+  const opened = await openPage(t, browser, base);
+  const { page } = opened;
+  await page.getByTestId('start').click();
+  await rises(page, STAGE, 'revision', 3);
+  const asked = [];
+  page.on('request', (request) => asked.push(request.url()));
+  await page.getByTestId('reset').click();
+  await page.getByTestId('confirm-no').click();
+  assert.ok(!asked.some((url) => url.endsWith('/scan/reset')), 'nothing is dropped that is kept');
+  const faces = Number(await page.locator(STAGE).getAttribute('data-faces'));
+  await page.getByTestId('reset').click();
+  const [request] = await Promise.all([page.waitForRequest(/scan\/reset$/), page.getByTestId('confirm-yes').click()]);
+  assert.equal(request.method(), 'POST');
+  await page.waitForFunction(([where, least]) => Number(document.querySelector(where).dataset.faces) < least, [STAGE, faces]);
+  assertClean(opened);
+});
+
+test('fits a phone', { timeout: 120_000 }, async (t) => {
+  const opened = await openPage(t, browser, base, PHONE);
+  const { page } = opened;
+  await page.getByTestId('start').tap();
+  await rises(page, STAGE, 'revision', 2);
+  const { scrollWidth, innerWidth } = await page.evaluate(() => ({ scrollWidth: document.documentElement.scrollWidth, innerWidth }));
+  assert.equal(scrollWidth, innerWidth, 'nothing sticks out');
+  for (const name of ['pause', 'snapshot', 'undo', 'refine', 'reset', 'stop', 'export']) {
+    const box = await page.getByTestId(name).boundingBox();
+    assert.ok(box.x >= 0 && box.x + box.width <= innerWidth && box.y + box.height <= PHONE.viewport.height, `${name} is in view`);
+    assert.ok(box.width >= 44 && box.height >= 44, `${name} is large enough for a finger`);
+  }
+  await save(page, 'phone');
+  await page.getByTestId('stop').tap();
+  await state(page, 'idle');
+  assertClean(opened);
+});
+
+test('is steered by keys, and the view turns', { timeout: 120_000 }, async (t) => {
+  const opened = await openPage(t, browser, base);
+  const { page } = opened;
+  await page.getByTestId('start').focus();
+  await page.keyboard.press('Enter');
+  await rises(page, STAGE, 'revision', 2);
+  assert.equal(await page.evaluate(() => document.activeElement.id), 'pause', 'the focus goes on to what took the place');
+  await page.keyboard.press('Enter');
+  await state(page, 'paused');
+  await page.getByTestId('scene').focus();
+  await page.waitForTimeout(3000);
+  const straight = await look(page);
+  for (let i = 0; i < 4; i += 1) await page.keyboard.press('ArrowRight');
+  await page.waitForTimeout(1000);
+  assert.ok(differing(straight, await look(page), 0, straight.width) > 0.01);
+  assertClean(opened);
+});
+
+test('tells why the daemon refuses', { timeout: 60_000 }, async (t) => {
+  const { page } = await openPage(t, browser, base);
+  const problem = { type: 'about:blank', title: 'refused', status: 409, detail: 'the camera is in use', code: 'device_busy' };
+  await page.route('**/api/v1/scan', (route) => route.fulfill({ status: 409, contentType: 'application/problem+json', body: JSON.stringify(problem) }));
+  await page.getByTestId('start').click();
+  const toast = page.getByTestId('toast');
+  await toast.waitFor();
+  assert.equal(await toast.innerText(), 'the camera is in use');
+  assert.equal(await toast.getAttribute('data-code'), 'device_busy');
+});
+
+test('draws again after the graphics were lost', { timeout: 60_000 }, async (t) => {
+  const { page } = await openPage(t, browser, base);
+  await page.getByTestId('scene-notice').waitFor({ state: 'hidden' });
+  const lose = () => {
+    globalThis.lost = document.getElementById('scene').getContext('webgl2').getExtension('WEBGL_lose_context');
+    globalThis.lost.loseContext();
+  };
+  await page.evaluate(lose);
+  await page.getByTestId('scene-notice').getByText('interrupted').waitFor();
+  const drawn = Number(await page.getByTestId('scene').getAttribute('data-drawn'));
+  await page.evaluate(() => globalThis.lost.restoreContext());
+  await page.getByTestId('scene-notice').waitFor({ state: 'hidden' });
+  await rises(page, '#scene', 'drawn', drawn);
+});
+
+test('says when the daemon is gone, and comes back with it', { timeout: 60_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const first = await standIn();
+  const { page } = await openPage(t, browser, first.base);
+  await first.close();
+  const banner = page.getByTestId('connection-banner');
+  await banner.getByText('Connection lost').waitFor();
+  assert.ok(await page.getByTestId('start').isDisabled());
+  const second = await standIn({ port: first.port });
+  await banner.waitFor({ state: 'hidden', timeout: 30_000 });
+  assert.ok(await page.getByTestId('start').isEnabled());
+  await second.close();
+});
+
+test('leads through the sequence of a Kinect I', { timeout: 60_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const kinect1 = await standIn({ sensor: 'kinect1' });
+  const opened = await openPage(t, browser, kinect1.base, DESKTOP);
+  const { page } = opened;
+  assert.ok(await page.getByTestId('kinect1').isHidden());
+  await page.getByTestId('start').click();
+  const step = (name) => page.locator(`#kinect1[data-step=${name}] li[aria-current=step][data-step=${name}]`).waitFor();
+  await step('cover_projector');
+  assert.equal(await page.locator('#speckle-gauge').getAttribute('data-level'), 'bad');
+  await step('lamp_on');
+  assert.equal(await page.locator('#speckle-gauge').getAttribute('data-level'), 'good');
+  await save(page, 'kinect1');
+  assertClean(opened);
+  await kinect1.close();
+});
