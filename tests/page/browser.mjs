@@ -57,7 +57,7 @@ export async function rises(page, selector, key, above) {
       return value > bound ? value : false;
     },
     [selector, key, above],
-    { timeout: 60_000 },
+    { timeout: 120_000 },
   );
   return handle.jsonValue();
 }

@@ -48,9 +48,10 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
     await button('start').click();
     await state(page, ...SCANNING);
     assert.match(await page.getByTestId('device').innerText(), /^Medallion · Kinect/);
-    const faces = await rises(page, STAGE, 'faces', 0);
+    await rises(page, STAGE, 'faces', 0);
+    const faces = await rises(page, '#health-mesh', 'faces', 0);
     const coverage = Number(await page.locator(STAGE).getAttribute('data-coverage'));
-    await rises(page, STAGE, 'faces', faces);
+    await rises(page, '#health-mesh', 'faces', faces);
     await rises(page, STAGE, 'coverage', coverage);
     assert.ok(await page.locator('#fitness-ring').getAttribute('aria-valuenow') > 0);
     await rises(page, '#depth', 'frame', 0);
