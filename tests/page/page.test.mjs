@@ -112,9 +112,8 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
   await t.test('stops, and refines', async () => {
     await button('stop').click();
     await state(page, 'idle');
-    const card = page.getByTestId('refinement');
     await page.waitForFunction(() => document.getElementById('refinement').dataset.state === 'running', null, { timeout: 120_000 });
-    assert.match(await card.innerText(), /\d of \d/);
+    await page.locator('#refinement-round').getByText(/^\d of \d$/).waitFor({ timeout: 120_000 });
     await save(page, 'refining');
     await page.waitForFunction(() => document.getElementById('refinement').dataset.state === 'done', null, { timeout: 300_000 });
   });

@@ -2,11 +2,13 @@
 
 import * as api from './api.js';
 import { DIVERGING } from './colour.js';
-import { coarseFaces } from './decimate.js';
+import { coarseFaces, facesNear } from './decimate.js';
 import { decodeMesh } from './wire.js';
 import { differenceLimitMm, extentOf, geometryOf, withFaces } from './surface.js';
 
 const KEY_STEP = 20;
+/** The fused mesh is of all that was seen, the refined one of the object: this far around it both are shown. */
+const OBJECT_MARGIN_M = 0.006;
 
 export class Compare {
   #view;
@@ -72,7 +74,9 @@ export class Compare {
     if (refined.faces.length === 0) throw new Error('the refined mesh is empty');
     const extent = extentOf(refined);
     for (const { fine, coarse } of Object.values(this.#geometries)) [fine, coarse].forEach((geometry) => geometry.dispose());
-    this.#geometries = { base: twofold(decodeMesh(base), extent), refined: twofold(refined, extent) };
+    const fused = decodeMesh(base);
+    fused.faces = facesNear(fused, refined, OBJECT_MARGIN_M);
+    this.#geometries = { base: twofold(fused, extent), refined: twofold(refined, extent) };
     this.moving = false;
     this.#limitMm = differenceLimitMm(refined);
     this.#view.surfaces.refined.limitMm = this.#limitMm;

@@ -21,6 +21,8 @@ export class Markers {
   #path = new Line(new BufferGeometry(), new LineBasicMaterial({ color: COLOURS.path }));
   #wayToNext = new Line(new BufferGeometry(), new LineDashedMaterial({ color: COLOURS.next, dashSize: 0.012, gapSize: 0.01 }));
   #sensor = '';
+  #isKnown = false;
+  #isLost = false;
 
   constructor() {
     this.group.add(this.#camera, this.#ghost, this.#next, this.#path, this.#wayToNext);
@@ -28,6 +30,7 @@ export class Markers {
   }
 
   clear() {
+    this.#isKnown = false;
     for (const marker of this.group.children) marker.visible = false;
   }
 
@@ -49,12 +52,23 @@ export class Markers {
     return this.#ghost.visible ? new Vector3().setFromMatrixPosition(this.#ghost.matrix) : this.cameraPlace;
   }
 
-  /** The newest pose; while track is lost the ghost shows the last one that held, and the camera is nowhere. */
-  showPose({ pose, lastGood, isLost }) {
-    this.#ghost.visible = isLost;
-    this.#camera.visible = !isLost;
+  /** While track is lost the ghost shows the last pose that held, and the camera is nowhere. */
+  set isLost(isLost) {
+    this.#isLost = isLost;
+    this.#showCamera();
+  }
+
+  /** The newest pose, and the last one that held. */
+  showPose({ pose, lastGood }) {
+    this.#isKnown = true;
     this.#camera.matrix.set(...pose);
     this.#ghost.matrix.set(...lastGood);
+    this.#showCamera();
+  }
+
+  #showCamera() {
+    this.#ghost.visible = this.#isKnown && this.#isLost;
+    this.#camera.visible = this.#isKnown && !this.#isLost;
     this.#aimAtNext();
   }
 

@@ -47,7 +47,7 @@ export class Refinement {
     else this.#bar.removeAttribute('value');
     const say = (name, value) => { this.#figures[name].textContent = value ?? '–'; };
     say('round', of > 0 ? `${nth} of ${of}` : null);
-    say('step', step);
+    say('step', of > 0 ? step : null);
     say('energy', energy === null ? null : `${(100 * energy).toFixed(0)} %`);
     say('rmse', rmse === null ? null : rmse.toPrecision(3));
     say('left', left === null || state !== 'running' ? null : duration(left));

@@ -14,6 +14,8 @@ const REFIT_SHIFT = 0.25;
 const SIDES = { live: { yaw: 0.55, pitch: 0.42 }, compare: { yaw: 0.18, pitch: 0.12 } };
 /** How much of the way from the model to the camera is shown; seen from behind the camera it is foreshortened. */
 const SHOWN_WAY = 0.84;
+/** From the sphere of nine tenths of an object's vertices to its corners; arbitrary. */
+const CORNERS = 1.18;
 /** Room around the camera, metres. */
 const CAMERA_ROOM_M = 0.12;
 
@@ -113,7 +115,10 @@ export class View {
 
   /** While scanning the sphere reaches some way towards the camera, so that both are in view. */
   #wantedSphere() {
-    if (this.mode !== 'live') return this.#extents.refined ?? null;
+    if (this.mode !== 'live') {
+      const object = this.#extents.refined;
+      return object ? { centre: object.centre, radius: object.radius * CORNERS } : null;
+    }
     const extent = this.#extents.live;
     if (!extent) return null;
     const camera = this.markers.lastPlace ?? new Vector3();

@@ -6,6 +6,8 @@ import { LiveMesh } from './live_mesh.js';
 import { View } from './scene.js';
 import { turnLight } from './surface.js';
 
+/** States in which the camera is not where it was last. */
+const LOST = ['lost', 'relocalising'];
 const COVERAGE_LEGEND = { stops: COVERAGE, ticks: ['needs views', 'enough'] };
 
 export class Stage {
@@ -53,7 +55,8 @@ export class Stage {
   }
 
   /** The newest status of the daemon. */
-  follow({ scan }) {
+  follow({ scan, state }) {
+    this.#setLost(scan !== null && LOST.includes(state));
     if (scan) this.#view.markers.sensor = scan.device.sensor;
     else if (this.#hasScan) this.#forgetCamera();
     this.#hasScan = Boolean(scan);
@@ -82,10 +85,6 @@ export class Stage {
 
   showPose(pose) {
     this.#view.markers.showPose(pose);
-    if (pose.isLost !== this.#isLost) {
-      this.#isLost = pose.isLost;
-      this.#showHint();
-    }
     this.#view.keepInView();
     this.#view.request();
   }
@@ -97,9 +96,17 @@ export class Stage {
     this.#view.request();
   }
 
+  #setLost(isLost) {
+    if (isLost === this.#isLost) return;
+    this.#isLost = isLost;
+    this.#view.markers.isLost = isLost;
+    this.#showHint();
+    this.#view.request();
+  }
+
   #forgetCamera() {
     this.#view.markers.clear();
-    this.#isLost = false;
+    this.#setLost(false);
     this.#why = '';
     this.#showHint();
     this.#view.request();

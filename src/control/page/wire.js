@@ -9,7 +9,7 @@ const MESH_MAGIC = 0x314d4c52; // "RLM1", little endian
  * One message of the socket, or `null` if it is not one that this page knows.
  *
  * Images: `low`, `high` are what the values 1 and 254 stand for (metres or counts), 0 is no value.
- * Poses: row-major 4 × 4, world from camera, metres.
+ * Poses: row-major 4 × 4, world from camera, metres; whether track is lost is in the status, which also comes without frames.
  */
 export function decodePreview(buffer) {
   if (buffer.byteLength < PREVIEW_HEADER) return null;
@@ -19,7 +19,7 @@ export function decodePreview(buffer) {
   if (kind === 'pose') {
     if (buffer.byteLength < PREVIEW_HEADER + 129) return null;
     const matrix = (offset) => Array.from({ length: 16 }, (_, i) => view.getFloat32(PREVIEW_HEADER + offset + 4 * i, true));
-    return { kind, frameId, pose: matrix(0), lastGood: matrix(64), isLost: view.getUint8(PREVIEW_HEADER + 128) !== 0 };
+    return { kind, frameId, pose: matrix(0), lastGood: matrix(64) };
   }
   const width = view.getUint16(16, true);
   const height = view.getUint16(18, true);
