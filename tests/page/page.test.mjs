@@ -50,9 +50,9 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
     assert.match(await page.getByTestId('device').innerText(), /^Medallion · Kinect/);
     await rises(page, STAGE, 'faces', 0);
     const faces = await rises(page, '#health-mesh', 'faces', 0);
-    const coverage = Number(await page.locator(STAGE).getAttribute('data-coverage'));
     await rises(page, '#health-mesh', 'faces', faces);
-    await rises(page, STAGE, 'coverage', coverage);
+    // Of a daemon's first mesh some is covered already, and what comes into view later is not.
+    await rises(page, STAGE, 'coverage', DAEMON ? 0 : Number(await page.locator(STAGE).getAttribute('data-coverage')));
     assert.ok(await page.locator('#fitness-ring').getAttribute('aria-valuenow') > 0);
     await rises(page, '#depth', 'frame', 0);
     await rises(page, '#ir', 'frame', 0);

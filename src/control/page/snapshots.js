@@ -56,8 +56,11 @@ function tile(key, { index, frame_id: frameId, accepted, code, reason, advice, h
     const image = document.createElement('img');
     image.src = api.snapshotImage(index);
     image.loading = 'lazy';
-    // The daemon keeps pictures of the newest only.
-    image.addEventListener('error', () => image.remove());
+    // A picture that is not there yet is asked for again when the list is made anew.
+    image.addEventListener('error', () => {
+      image.remove();
+      item.dataset.key = '';
+    });
     image.alt = `Infrared image of frame ${frameId}, ${why}`;
     item.append(image);
   }
