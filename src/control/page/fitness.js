@@ -17,7 +17,9 @@ export class Fitness {
   #line = document.getElementById('fitness-history');
   #points = [];
 
-  show(fitness, isLost, now = performance.now()) {
+  /** `newest`: 0 to 1, `null` while not tracking; it is that of the last frame that had depth. */
+  show(newest, isLost, now = performance.now()) {
+    const fitness = isLost ? 0 : newest;
     const [level, words] = isLost ? ['bad', 'lost'] : judge(fitness);
     this.#card.dataset.level = level;
     this.#words.textContent = words;
