@@ -10,8 +10,8 @@ use super::{
 use crate::{
     capture::CaptureSummary,
     export::{
-        AlbedoShare, BaseMesh, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView, Report,
-        Tracking,
+        AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView,
+        Report, Tracking,
     },
     refine::{Judgement, RefineStatus, Refinement},
     snapshot::ShadingSnapshot,
@@ -203,6 +203,7 @@ fn refined_mesh(
         rmse_before: refinement.rmse_before,
         rmse_after: refinement.rmse_after,
         held_out: held_out(&refinement.judgement),
+        evidence: evidence(refinement),
         views,
     }
 }
@@ -218,6 +219,17 @@ fn held_out(judgement: &Judgement) -> HeldOut {
         gradient_refined: overall.refined.gradient,
         gradient_noise: overall.noise.gradient,
         slow_gain: overall.slow_gain,
+    }
+}
+
+fn evidence(refinement: &Refinement) -> Evidence {
+    let summary = refinement.evidence.summary();
+    Evidence {
+        unseen_share: summary.unseen_share,
+        weak_share: summary.weak_share,
+        median_views: summary.median_views,
+        median_sigma_m: summary.median_sigma_m,
+        high_sigma_m: summary.high_sigma_m,
     }
 }
 

@@ -103,6 +103,22 @@ impl Albedo {
             .collect()
     }
 
+    /// Group of most facets round each vertex, the darkest of several.
+    pub fn labels_by_vertex(&self, mesh: &TriMesh) -> Vec<u8> {
+        let n_groups = self.groups.len();
+        let mut counts = vec![0u32; n_groups * mesh.vertices.len()];
+        for (face, &label) in mesh.faces.iter().zip(&self.labels) {
+            for &vertex in face {
+                counts[vertex as usize * n_groups + label as usize] += 1;
+            }
+        }
+        let most = |counts: &[u32]| {
+            let first_of_most = (0..n_groups).rev().max_by_key(|&group| counts[group]);
+            first_of_most.unwrap_or(0) as u8
+        };
+        counts.chunks_exact(n_groups.max(1)).map(most).collect()
+    }
+
     /// Share of the facets in each group.
     pub fn shares(&self) -> Vec<f64> {
         let mut counts = vec![0usize; self.groups.len()];
