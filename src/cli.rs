@@ -11,8 +11,10 @@ use anyhow::{Context, anyhow, bail, ensure};
 use calibrate::CalibrateCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use depth_camera::Sensor;
+use nalgebra::{Quaternion, Translation3, Unit};
 use relief::{
     config::Overrides,
+    geometry::Pose,
     refine::{Crop, Roi},
 };
 use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
@@ -256,9 +258,28 @@ pub struct EvaluateArgs {
     /// Folder for the evaluation, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Refinements, each without its share of the views; as many as views leave out one at a time
+    /// Refinements, each without its share of the views; as many as views leave out one at a time, 0 none
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = folds)]
     pub folds: usize,
+    /// Mesh (PLY, metres) measured by something better: base and refined mesh are compared with it
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Where the scan's world lies in the frame of --truth, to a centimetre; it is aligned from there
+    #[arg(
+        long,
+        value_name = "TX,TY,TZ,QX,QY,QZ,QW",
+        allow_hyphen_values = true,
+        requires = "truth"
+    )]
+    pub truth_pose: Option<PoseArg>,
+    /// What of --truth is compared, in its frame, metres; all of it without a box
+    #[arg(
+        long,
+        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+        allow_hyphen_values = true,
+        requires = "truth"
+    )]
+    pub truth_box: Option<RoiArg>,
     /// Also with fewer views, tracked poses, one albedo, and other values of gamma
     #[arg(long)]
     pub ablations: bool,
@@ -272,7 +293,10 @@ fn folds(text: &str) -> anyhow::Result<usize> {
     let n: usize = text
         .parse()
         .with_context(|| format!("\"{text}\" is no number"))?;
-    ensure!((2..=64).contains(&n), "{n} folds, must be 2 to 64");
+    ensure!(
+        n == 0 || (2..=64).contains(&n),
+        "{n} folds, must be 0 or 2 to 64"
+    );
     Ok(n)
 }
 
@@ -304,6 +328,22 @@ impl FromStr for RoiArg {
     fn from_str(text: &str) -> anyhow::Result<Self> {
         let roi = Roi::of_bounds(numbers(text)?).map_err(anyhow::Error::msg)?;
         Ok(RoiArg(roi))
+    }
+}
+
+/// A pose as seven numbers: translation in metres, quaternion with its real part last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseArg(pub Pose);
+
+impl FromStr for PoseArg {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let [tx, ty, tz, qx, qy, qz, qw] = numbers(text)?;
+        let rotation = Unit::try_new(Quaternion::new(qw, qx, qy, qz), 1e-6)
+            .with_context(|| format!("the quaternion of \"{text}\" has no length"))?;
+        let translation = Translation3::new(tx, ty, tz);
+        Ok(PoseArg(Pose::from_parts(translation, rotation)))
     }
 }
 
@@ -371,6 +411,16 @@ mod tests {
             let error = format!("box={text}").parse::<CropArg>().unwrap_err();
             assert_eq!(error.to_string(), message);
         }
+    }
+
+    #[test]
+    fn a_pose_is_seven_numbers() {
+        let pose = "0.1,-0.2,0.3,0,0,2,0".parse::<PoseArg>().unwrap().0;
+        let point = pose * nalgebra::Point3::new(1.0, 0.0, 0.0);
+        assert!((point - nalgebra::Point3::new(-0.9, -0.2, 0.3)).norm() < 1e-12);
+        let error = |text: &str| text.parse::<PoseArg>().unwrap_err().to_string();
+        assert_eq!(error("1,2,3"), "3 numbers, must be 7");
+        assert!(error("0,0,0,0,0,0,0").contains("has no length"));
     }
 
     #[test]

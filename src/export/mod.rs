@@ -49,7 +49,8 @@ pub use calibration_page::{
 };
 pub use error::ExportError;
 pub use evaluation::{
-    Ablation, EvaluationPictures, EvaluationReport, LeftOutView, write_evaluation,
+    Ablation, AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, TruthFigures,
+    write_evaluation,
 };
 pub use glb::write_glb;
 pub use material::PhongParams;
