@@ -20,7 +20,7 @@ use relief::{
     geometry::{CameraModel, Pose, RayGrid, TriMesh},
     pipeline::{OutputFolder, RecordedScan},
     refine::{
-        HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject,
+        AlbedoMode, AlbedoParams, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject,
         cross_validate, refine, select_object, select_roi, validate,
     },
     shading::Calibration,
@@ -242,6 +242,18 @@ impl Scan {
             "one albedo".to_owned(),
             calibration,
             &one_albedo,
+            &rest,
+        )?);
+        let paper_groups = RefineParams {
+            albedo: AlbedoParams {
+                mode: AlbedoMode::Paper,
+            },
+            ..params.clone()
+        };
+        ablations.push(judged(
+            "albedo groups by the paper's rule".to_owned(),
+            calibration,
+            &paper_groups,
             &rest,
         )?);
         for share in GAMMAS {

@@ -9,15 +9,18 @@
 
 mod albedo;
 mod alignment;
+mod clusters;
 mod couplings;
 mod crop;
 mod energy;
 mod error;
 mod evidence;
+mod expansion;
 mod gain_field;
 #[cfg(test)]
 mod guard_tests;
 mod held_out;
+mod max_flow;
 mod mixture;
 mod object;
 mod observations;
@@ -36,6 +39,7 @@ mod solver;
 mod tests;
 mod view;
 
+pub use albedo::{AlbedoMode, AlbedoParams};
 pub use alignment::AlignmentParams;
 pub use crop::{Crop, ObjectParams};
 pub use error::RefineError;

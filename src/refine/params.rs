@@ -1,5 +1,6 @@
 //! What refinement needs to know, and the bounds of it.
 
+use super::albedo::AlbedoParams;
 use super::alignment::AlignmentParams;
 use super::view::ImageTrust;
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,8 @@ pub struct RefineParams {
     pub slope_sigma_rad: f64,
     /// Materials told apart by their albedo at most.
     pub max_albedos: usize,
+    /// How they are told apart.
+    pub albedo: AlbedoParams,
     /// How far Eq. (1) is believed.
     pub trust: ImageTrust,
     /// Alignment of the views.
@@ -43,6 +46,7 @@ impl Default for RefineParams {
             patch_sigma_m: 0.0001,
             slope_sigma_rad: 0.15,
             max_albedos: 4,
+            albedo: AlbedoParams::default(),
             trust: ImageTrust::default(),
             alignment: AlignmentParams::default(),
         }

@@ -1,6 +1,6 @@
 //! One outer round: visibility, the views' poses and gains, albedo, then displacements.
 
-use super::albedo::Albedo;
+use super::albedo::{Albedo, Groups};
 use super::alignment::{AlignmentTarget, align_view};
 use super::energy::{PriorWeights, Problem, Surface, unit_normal};
 use super::observations::Observations;
@@ -68,8 +68,11 @@ impl Rounds<'_> {
         observations: &Observations,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
-        let max_groups = self.params.max_albedos;
-        Albedo::estimate(mesh, self.neighbours, observations, max_groups, current)
+        let groups = Groups {
+            mode: self.params.albedo.mode,
+            at_most: self.params.max_albedos,
+        };
+        Albedo::estimate(mesh, self.neighbours, observations, groups, current)
     }
 
     /// Runs rounds with a set of views; the others are left as they are. `accepted` is told of each step and returns false
