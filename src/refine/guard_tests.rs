@@ -3,7 +3,7 @@
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
 use super::scenes::{RippledPlane, calibration, optics, poses, rays};
-use super::{RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
+use super::{ImageTrust, RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
 use crate::geometry::TriMesh;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Vector3;
@@ -13,9 +13,25 @@ const RIPPLED: RippledPlane = RippledPlane {
 };
 const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
 
+/// Parameters of a coarse mesh, which is fast.
+fn coarse() -> RefineParams {
+    RefineParams {
+        edge_length_m: 0.0025,
+        ..RefineParams::default()
+    }
+}
+
 /// Refines an object from images of the rippled plane that were changed.
 fn refine_from(
     object: &TriMesh,
+    change: impl Fn(usize, &mut ShadingSnapshot),
+) -> Result<Refinement, RefineError> {
+    refine_with(object, &coarse(), change)
+}
+
+fn refine_with(
+    object: &TriMesh,
+    params: &RefineParams,
     change: impl Fn(usize, &mut ShadingSnapshot),
 ) -> Result<Refinement, RefineError> {
     let (rays, calibration) = (rays(), calibration());
@@ -33,11 +49,7 @@ fn refine_from(
         snapshots: &snapshots,
         optics: &optics,
     };
-    let params = RefineParams {
-        edge_length_m: 0.0025,
-        ..RefineParams::default()
-    };
-    refine(&subject, &params, |_| true)
+    refine(&subject, params, |_| true)
 }
 
 #[test]
@@ -91,6 +103,83 @@ fn saturated_views_are_refused_and_counted() {
         n_views: 7,
     };
     assert_eq!(result.err(), Some(expected));
+}
+
+#[test]
+fn brightness_that_the_light_does_not_explain_is_measured_and_bounded() {
+    // Nothing is allowed, so that the figure is told in any case.
+    let params = RefineParams {
+        trust: ImageTrust {
+            max_slow_gain: 0.0,
+            ..ImageTrust::default()
+        },
+        ..coarse()
+    };
+    let slow_gain_of = |log_gain_per_px: f32| {
+        let result = refine_with(&FLAT.mesh(0.0025), &params, |_, snapshot| {
+            let width = snapshot.ir_counts.width();
+            for (pixel, counts) in snapshot.ir_counts.data_mut().iter_mut().enumerate() {
+                *counts *= (log_gain_per_px * ((pixel % width) as f32 - 100.0)).exp();
+            }
+        });
+        let Err(error) = result else {
+            panic!("delivered");
+        };
+        let text = error.to_string();
+        assert!(text.contains("gamma or light is wrong"), "{text}");
+        let RefineError::SlowlyContradicted { slow_gain, .. } = error else {
+            panic!("{text}");
+        };
+        slow_gain
+    };
+    // Across every image brightness changes by 0.6 % a pixel, as behind a lens that nobody calibrated.
+    let (known, unknown) = (slow_gain_of(0.0), slow_gain_of(0.006));
+    assert!(unknown > 2.0 * known, "{known} and {unknown}");
+}
+
+#[test]
+fn more_views_than_can_be_used_are_refused() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let snapshots = vec![FLAT.snapshot(&optics, &poses(0.0)[0]); 65];
+    let subject = Subject {
+        scene: &base,
+        object: &base,
+        snapshots: &snapshots,
+        optics: &optics,
+    };
+    let result = refine(&subject, &RefineParams::default(), |_| true);
+    assert_eq!(
+        result.err(),
+        Some(RefineError::TooManyViews { n_views: 65 })
+    );
+}
+
+#[test]
+fn no_surface_is_refused() {
+    let result = refine_from(&TriMesh::default(), |_, _| ());
+    assert_eq!(result.err(), Some(RefineError::NoSurface));
+}
+
+#[test]
+fn parts_that_do_not_touch_are_refined_alike() {
+    let whole = FLAT.mesh(0.0025);
+    let parts = whole.filter_faces(|face| whole.centroid(face).x.abs() > 0.004);
+    assert_eq!(parts.face_components().1, 2);
+    let refined = refine_from(&parts, |_, _| ()).expect("both are visible");
+    assert_eq!(refined.mesh.face_components().1, 2);
+    let normals = refined.mesh.vertex_normals();
+    for side in [-1.0, 1.0] {
+        let pairs = refined.mesh.vertices.iter().zip(&normals);
+        let inner = pairs.filter(|(p, _)| (side * p.x - 0.018).abs() < 0.01 && p.y.abs() < 0.03);
+        let (mut before, mut after) = (0.0, 0.0);
+        for (p, normal) in inner {
+            before += RIPPLED.normal(p.x, p.y).angle(&-Vector3::z());
+            after += RIPPLED.normal(p.x, p.y).angle(normal);
+        }
+        assert!(after < 0.75 * before, "{before} to {after}");
+    }
 }
 
 #[test]
