@@ -181,6 +181,9 @@ pub struct RefineArgs {
     /// The scan, and what is to be known of it
     #[command(flatten)]
     pub scan: RecordedScanArgs,
+    /// Refine the depth map of this frame, one of the shading images, from its own infrared image alone
+    #[arg(long, value_name = "FRAME")]
+    pub single_view: Option<u64>,
     /// Folder for the outputs, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,

@@ -33,6 +33,7 @@ mod rounds;
 #[cfg(test)]
 mod scenes;
 mod selected_inverse;
+mod single_view;
 mod sites;
 mod solver;
 #[cfg(test)]
@@ -48,6 +49,7 @@ pub use held_out::{HeldOut, ImageError, JudgedView, Judgement};
 pub use object::{Plane, Roi, select_object, select_roi};
 pub use params::RefineParams;
 pub use preparation::Subject;
+pub use single_view::surface_of_view;
 pub use solver::{Iteration, RefineStatus};
 pub use view::{ImageTrust, Optics};
 
