@@ -27,6 +27,8 @@ pub struct RefineParams {
     pub slope_sigma_rad: f64,
     /// Materials told apart by their albedo at most.
     pub max_albedos: usize,
+    /// Whether light that arrives over other surfaces is predicted beside that of Eq. (1).
+    pub interreflection: bool,
     /// How they are told apart.
     pub albedo: AlbedoParams,
     /// How far Eq. (1) is believed.
@@ -46,6 +48,7 @@ impl Default for RefineParams {
             patch_sigma_m: 0.0001,
             slope_sigma_rad: 0.15,
             max_albedos: 4,
+            interreflection: true,
             albedo: AlbedoParams::default(),
             trust: ImageTrust::default(),
             alignment: AlignmentParams::default(),
