@@ -22,6 +22,17 @@ const MAX_DIFFERENCE: f64 = 1e6;
 /// Cycles over all labels at most; two or three are the rule.
 const MAX_CYCLES: usize = 5;
 
+/// What becomes of a site when a label expands.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Fate {
+    /// It keeps its label, whatever its neighbours do.
+    Keeps,
+    /// It takes the label, or has it already.
+    Changes,
+    /// The cut decides.
+    Open,
+}
+
 impl Labelling<'_> {
     /// The cheapest label of each site by itself, then expanded until no label lowers the energy.
     pub fn solve(&self) -> Vec<u8> {
@@ -94,16 +105,25 @@ impl Labelling<'_> {
         let mut terminals: Vec<i64> = (0..labels.len())
             .map(|site| whole(self.cost(site, label) - self.cost(site, labels[site])))
             .collect();
+        // Three neighbours cannot outweigh a larger difference: what such a site does needs no cut.
+        let fates: Vec<Fate> = (0..labels.len())
+            .map(|site| match terminals[site] {
+                _ if labels[site] == label => Fate::Changes,
+                difference if difference > 3 * pair => Fate::Keeps,
+                difference if difference < -3 * pair => Fate::Changes,
+                _ => Fate::Open,
+            })
+            .collect();
         let mut edges = Vec::new();
         for (p, q) in self.pairs() {
-            match (labels[p] == label, labels[q] == label) {
-                (true, true) => {}
-                // The other one has the label: changing too saves their difference.
-                (true, false) => terminals[q] -= pair,
-                (false, true) => terminals[p] -= pair,
-                (false, false) => {
-                    // Both keep: `both`; one changes: `pair`; both change: nothing.
-                    let both = if labels[p] == labels[q] { 0 } else { pair };
+            // Both keep: `both`; one changes: `pair`; both change: nothing.
+            let both = if labels[p] == labels[q] { 0 } else { pair };
+            match (fates[p], fates[q]) {
+                (Fate::Changes, Fate::Open) => terminals[q] -= pair,
+                (Fate::Open, Fate::Changes) => terminals[p] -= pair,
+                (Fate::Keeps, Fate::Open) => terminals[q] += pair - both,
+                (Fate::Open, Fate::Keeps) => terminals[p] += pair - both,
+                (Fate::Open, Fate::Open) => {
                     terminals[p] += pair - both;
                     terminals[q] -= pair;
                     edges.push(Edge {
@@ -111,6 +131,7 @@ impl Labelling<'_> {
                         capacities: [2 * pair - both, 0],
                     });
                 }
+                _ => {}
             }
         }
         let keeps = FlowNetwork::new(terminals, &edges).source_side();
