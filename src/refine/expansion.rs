@@ -148,7 +148,11 @@ mod tests {
     fn ring(n: usize) -> Vec<[u32; 3]> {
         let across = |site: usize| {
             let other = (site + n / 2) % n;
-            if n % 2 == 0 { other as u32 } else { u32::MAX }
+            if n.is_multiple_of(2) {
+                other as u32
+            } else {
+                u32::MAX
+            }
         };
         (0..n)
             .map(|site| {
