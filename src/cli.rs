@@ -5,10 +5,13 @@ pub mod bench;
 pub mod calibrate;
 pub mod config;
 pub mod daemon;
+pub mod devices;
 pub mod evaluate;
 pub mod logging;
 pub mod package;
+pub mod record;
 pub mod run;
+pub mod session;
 pub mod summary;
 
 use anyhow::{Context, anyhow, bail, ensure};
@@ -17,13 +20,16 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::ConfigCommand;
 use depth_camera::Sensor;
 use logging::LogFormat;
+use nalgebra::{Quaternion, Translation3, Unit};
 use package::{CompletionsArgs, ManArgs};
 use relief::{
     config::Overrides,
     control::ProgressStyle,
+    geometry::Pose,
     jobs::Limits,
     refine::{Crop, Roi},
 };
+use session::SessionCommand;
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, str::FromStr};
 
 /// Turns a hand-held Kinect scan into a mesh with detail below the depth sensor's noise, from infrared shading.
@@ -64,6 +70,15 @@ pub enum Command {
     /// Measure what the program has to know of a device
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+    /// List, check, mend and convert recordings
+    #[command(subcommand)]
+    Session(SessionCommand),
+    /// List the Kinects that are plugged in
+    Devices(DevicesArgs),
+    /// Look for what keeps a Kinect from working, and say what mends it
+    Doctor(DoctorArgs),
+    /// Record a live device
+    Record(RecordArgs),
     /// Show and check the configuration
     #[command(subcommand)]
     Config(ConfigCommand),
@@ -91,6 +106,10 @@ impl Command {
             Command::Bench(args) => args.json,
             Command::Evaluate(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
+            Command::Session(command) => command.prints_json(),
+            Command::Devices(args) => args.json,
+            Command::Doctor(args) => args.json,
+            Command::Record(args) => args.json,
             Command::Config(command) => command.prints_json(),
             Command::Run(_)
             | Command::Simulate(_)
@@ -105,8 +124,11 @@ impl Command {
 #[derive(Debug, Args)]
 pub struct RunArgs {
     /// Play this session at its own pace, as if it were a device
-    #[arg(long, value_name = "SESSION")]
-    pub replay: PathBuf,
+    #[arg(long, value_name = "SESSION", conflicts_with = "device")]
+    pub replay: Option<PathBuf>,
+    /// Scan with the Kinect of this serial number; with the only one there is without it
+    #[arg(long, value_name = "SERIAL")]
+    pub device: Option<String>,
     /// Begin the session anew whenever it ends
     #[arg(long, requires = "replay")]
     pub repeat: bool,
@@ -139,7 +161,7 @@ pub struct RunArgs {
 /// `relief replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Folder of the session
+    /// Folder of the session, or an .mcap file
     pub session: PathBuf,
     /// Folder for the outputs, new or empty
     #[arg(long, value_name = "DIR")]
@@ -193,7 +215,7 @@ pub struct ReplayArgs {
     /// Play at the recorded pace and drop frames rather than wait for fusion
     #[arg(long)]
     pub realtime: bool,
-    /// Record the frames into `session` of the output folder
+    /// Record the frames beneath the output folder, as [capture] of the configuration says
     #[arg(long)]
     pub record: bool,
     /// Fuse only
@@ -250,6 +272,9 @@ pub struct RefineArgs {
     /// The scan, and what is to be known of it
     #[command(flatten)]
     pub scan: RecordedScanArgs,
+    /// Refine the depth map of this frame, one of the shading images, from its own infrared image alone
+    #[arg(long, value_name = "FRAME")]
+    pub single_view: Option<u64>,
     /// Folder for the outputs, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -326,7 +351,7 @@ pub struct DemoArgs {
 /// `relief bench`.
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// Folder of the session
+    /// Folder of the session, or an .mcap file
     pub session: PathBuf,
     /// Configuration; keys that it leaves out keep their defaults
     #[arg(long, value_name = "FILE")]
@@ -365,9 +390,28 @@ pub struct EvaluateArgs {
     /// Folder for the evaluation, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Refinements, each without its share of the views; as many as views leave out one at a time
+    /// Refinements, each without its share of the views; as many as views leave out one at a time, 0 none
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = folds)]
     pub folds: usize,
+    /// Mesh (PLY, metres) measured by something better: base and refined mesh are compared with it
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Where the scan's world lies in the frame of --truth, to a centimetre; it is aligned from there
+    #[arg(
+        long,
+        value_name = "TX,TY,TZ,QX,QY,QZ,QW",
+        allow_hyphen_values = true,
+        requires = "truth"
+    )]
+    pub truth_pose: Option<PoseArg>,
+    /// What of --truth is compared, in its frame, metres; all of it without a box
+    #[arg(
+        long,
+        value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+        allow_hyphen_values = true,
+        requires = "truth"
+    )]
+    pub truth_box: Option<RoiArg>,
     /// Also with fewer views, tracked poses, one albedo, and other values of gamma
     #[arg(long)]
     pub ablations: bool,
@@ -376,12 +420,90 @@ pub struct EvaluateArgs {
     pub json: bool,
 }
 
+/// `relief devices`.
+#[derive(Debug, Args)]
+pub struct DevicesArgs {
+    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
+    #[arg(long, value_name = "DIR", default_value = "/")]
+    pub root: PathBuf,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `relief doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArgs {
+    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
+    #[arg(long, value_name = "DIR", default_value = "/")]
+    pub root: PathBuf,
+    /// Folder that scans and recordings go to
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub data: PathBuf,
+    /// Configuration, beside which calibrations are looked for
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Print the udev rules that let a Kinect be used, and nothing else
+    #[arg(long)]
+    pub print_rules: bool,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `relief record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Serial number of the device, as `relief devices` lists it
+    #[arg(long, value_name = "SERIAL")]
+    pub device: String,
+    /// Folder for the recording, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Record what the device sends, nothing decoded: disparity of a Kinect I, packets of a Kinect II (90 MB/s)
+    #[arg(long)]
+    pub raw: bool,
+    /// End after so many seconds; else at SIGINT or SIGTERM
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A duration that makes sense.
+fn seconds(text: &str) -> anyhow::Result<f64> {
+    let secs: f64 = text
+        .parse()
+        .with_context(|| format!("\"{text}\" is no number"))?;
+    ensure!(
+        (0.1..=1e6).contains(&secs),
+        "{secs} s, must be 0.1 to 1000000"
+    );
+    Ok(secs)
+}
+
 /// A number of folds.
 fn folds(text: &str) -> anyhow::Result<usize> {
     let n: usize = text
         .parse()
         .with_context(|| format!("\"{text}\" is no number"))?;
-    ensure!((2..=64).contains(&n), "{n} folds, must be 2 to 64");
+    ensure!(
+        n == 0 || (2..=64).contains(&n),
+        "{n} folds, must be 0 or 2 to 64"
+    );
     Ok(n)
 }
 
@@ -413,6 +535,22 @@ impl FromStr for RoiArg {
     fn from_str(text: &str) -> anyhow::Result<Self> {
         let roi = Roi::of_bounds(numbers(text)?).map_err(anyhow::Error::msg)?;
         Ok(RoiArg(roi))
+    }
+}
+
+/// A pose as seven numbers: translation in metres, quaternion with its real part last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseArg(pub Pose);
+
+impl FromStr for PoseArg {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let [tx, ty, tz, qx, qy, qz, qw] = numbers(text)?;
+        let rotation = Unit::try_new(Quaternion::new(qw, qx, qy, qz), 1e-6)
+            .with_context(|| format!("the quaternion of \"{text}\" has no length"))?;
+        let translation = Translation3::new(tx, ty, tz);
+        Ok(PoseArg(Pose::from_parts(translation, rotation)))
     }
 }
 
@@ -480,6 +618,16 @@ mod tests {
             let error = format!("box={text}").parse::<CropArg>().unwrap_err();
             assert_eq!(error.to_string(), message);
         }
+    }
+
+    #[test]
+    fn a_pose_is_seven_numbers() {
+        let pose = "0.1,-0.2,0.3,0,0,2,0".parse::<PoseArg>().unwrap().0;
+        let point = pose * nalgebra::Point3::new(1.0, 0.0, 0.0);
+        assert!((point - nalgebra::Point3::new(-0.9, -0.2, 0.3)).norm() < 1e-12);
+        let error = |text: &str| text.parse::<PoseArg>().unwrap_err().to_string();
+        assert_eq!(error("1,2,3"), "3 numbers, must be 7");
+        assert!(error("0,0,0,0,0,0,0").contains("has no length"));
     }
 
     #[test]

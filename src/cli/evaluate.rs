@@ -2,7 +2,8 @@
 //!
 //! Views are left out in folds; each is rendered from the base and from the refined surface and compared with what the sensor
 //! saw. With `--ablations` the same is done for fewer views, for other values of gamma and without pose refinement, all judged
-//! by the same views. The report is Markdown with pictures beside it.
+//! by the same views. With `--truth` both surfaces are compared with a mesh measured by something better, which nothing else is
+//! given. The report is Markdown with pictures beside it.
 
 use super::{
     EvaluateArgs,
@@ -11,15 +12,16 @@ use super::{
 use anyhow::{Context, ensure};
 use depth_camera::CameraInfo;
 use relief::{
+    evaluate::{Cameras, SurfaceError, Truth, surface_error},
     export::{
-        Ablation, EvaluationPictures, EvaluationReport, LeftOutView, MeanView, PhongParams,
-        PictureSize, phong, three_views, write_evaluation,
+        Ablation, AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, MeanView,
+        PhongParams, PictureSize, TruthFigures, phong, read_ply, three_views, write_evaluation,
     },
-    geometry::{CameraModel, RayGrid, TriMesh},
+    geometry::{CameraModel, Pose, RayGrid, TriMesh},
     pipeline::{OutputFolder, RecordedScan},
     refine::{
-        HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate, refine,
-        select_object, select_roi, validate,
+        AlbedoMode, AlbedoParams, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject,
+        cross_validate, refine, select_object, select_roi, validate,
     },
     shading::Calibration,
     snapshot::ShadingSnapshot,
@@ -36,8 +38,14 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.scan.threads.unwrap_or_else(run::all_processors).get())
         .build()?;
+    let truth = args.truth.as_deref().map(read_ply).transpose()?;
     let scan = Scan::new(recorded, args)?;
-    let report = pool.install(|| scan.evaluate(args, &found.calibration, &config.refine))?;
+    let truth = truth.map(|mesh| {
+        let bounds = args.truth_box.map(|bounds| [bounds.0.min, bounds.0.max]);
+        Truth::new(mesh, bounds)
+    });
+    let report =
+        pool.install(|| scan.evaluate(args, truth.as_ref(), &found.calibration, &config.refine))?;
     write_evaluation(out.path(), &report)?;
     match args.json {
         true => println!("{}", serde_json::to_string(&report)?),
@@ -53,6 +61,7 @@ struct Scan {
     base: TriMesh,
     object: TriMesh,
     mean_view: MeanView,
+    world_from_cameras: Vec<Pose>,
     snapshots: Vec<ShadingSnapshot>,
 }
 
@@ -78,6 +87,7 @@ impl Scan {
             info,
             object,
             mean_view: MeanView::from_poses(&scan.world_from_cameras),
+            world_from_cameras: scan.world_from_cameras,
             base: scan.base,
             snapshots,
         })
@@ -86,6 +96,7 @@ impl Scan {
     fn evaluate(
         &self,
         args: &EvaluateArgs,
+        truth: Option<&Truth>,
         calibration: &Calibration,
         params: &RefineParams,
     ) -> anyhow::Result<EvaluationReport> {
@@ -93,23 +104,50 @@ impl Scan {
         let optics = self.optics(&rays, calibration)?;
         let subject = self.subject(&optics);
         let n_folds = args.folds.min(self.snapshots.len());
-        let judged = cross_validate(&subject, params, n_folds, |fold| {
+        let folded = |fold| {
             tracing::info!(fold = fold + 1, of = n_folds, "fold judged");
             true
-        })?;
+        };
+        let judged = match n_folds {
+            0 => Vec::new(),
+            _ => cross_validate(&subject, params, n_folds, folded)?,
+        };
         let ablations = match args.ablations {
             true => self.ablations(&rays, calibration, params)?,
             false => Vec::new(),
         };
         let refined = refine(&subject, params, |_| true);
+        let refined_mesh = refined.as_ref().ok().map(|refined| &refined.mesh);
+        let truth_from_world = args.truth_pose.map_or(Pose::identity(), |pose| pose.0);
+        let against = |truth| self.against(truth, truth_from_world, refined_mesh);
         Ok(EvaluationReport {
+            truth: truth.map(against).transpose()?,
             session: self.session.clone(),
             n_folds,
             overall: figures(None, &Judgement::of(&judged).overall),
             views: judged.iter().map(|view| self.left_out(view)).collect(),
             ablations,
             not_refined_reason: refined.as_ref().err().map(ToString::to_string),
-            pictures: self.pictures(&judged, refined.as_ref().ok().map(|refined| &refined.mesh)),
+            pictures: self.pictures(&judged, refined_mesh),
+        })
+    }
+
+    /// Both surfaces against the truth.
+    fn against(
+        &self,
+        truth: &Truth,
+        truth_from_world: Pose,
+        refined: Option<&TriMesh>,
+    ) -> anyhow::Result<AgainstTruth> {
+        let cameras = Cameras {
+            model: &CameraModel::new(self.info.intrinsics),
+            world_from_cameras: &self.world_from_cameras,
+            truth_from_world,
+        };
+        let figures = |mesh| anyhow::Ok(truth_figures(&surface_error(truth, mesh, &cameras)?));
+        Ok(AgainstTruth {
+            base: figures(&self.object)?,
+            refined: refined.map(figures).transpose()?,
         })
     }
 
@@ -206,6 +244,18 @@ impl Scan {
             &one_albedo,
             &rest,
         )?);
+        let paper_groups = RefineParams {
+            albedo: AlbedoParams {
+                mode: AlbedoMode::Paper,
+            },
+            ..params.clone()
+        };
+        ablations.push(judged(
+            "albedo groups by the paper's rule".to_owned(),
+            calibration,
+            &paper_groups,
+            &rest,
+        )?);
         for share in GAMMAS {
             let gamma = share * calibration.gamma;
             let other = Calibration {
@@ -243,6 +293,19 @@ impl Scan {
             error_maps: middle.map(|view| [view.base_error.clone(), view.refined_error.clone()]),
             error_frame_id: middle.map(|view| self.snapshots[view.index].frame_id),
         }
+    }
+}
+
+fn truth_figures(error: &SurfaceError) -> TruthFigures {
+    TruthFigures {
+        n_points: error.n_points,
+        mean_mm: 1e3 * error.mean_m,
+        median_mm: 1e3 * error.median_m,
+        rms_mm: 1e3 * error.rms_m,
+        detail_rms_mm: 1e3 * error.detail_rms_m,
+        normal_mean_deg: error.normal_mean_rad.to_degrees(),
+        normal_median_deg: error.normal_median_rad.to_degrees(),
+        completeness: error.completeness,
     }
 }
 

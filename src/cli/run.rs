@@ -140,6 +140,10 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         recorded,
         found,
     } = FoundScan::read(&args.scan)?;
+    let recorded = match args.single_view {
+        Some(frame_id) => recorded.single_view(frame_id, &found.calibration)?,
+        None => recorded,
+    };
     let params = PipelineParams {
         session: session_name(&args.scan.output),
         capture: config.capture,

@@ -1,5 +1,10 @@
 //! Scoring against measured truth: the only module that is ever given it. Nothing that reconstructs imports this.
 
+mod surface_error;
+mod surface_samples;
 mod trajectory;
+mod truth;
 
+pub use surface_error::{Cameras, SurfaceError, SurfaceErrorFailure, surface_error};
 pub use trajectory::{PosePair, TrajectoryError, trajectory_error};
+pub use truth::Truth;

@@ -54,6 +54,16 @@ impl ColourScale {
         }
     }
 
+    /// From dark to bright between two numbers.
+    pub fn sequential(low: f64, high: f64) -> Self {
+        ColourScale {
+            stops: &SEQUENTIAL,
+            low,
+            high: high.max(low + f64::EPSILON),
+            step: None,
+        }
+    }
+
     /// About ten bands between round numbers around what lies between `low` and `high`.
     pub fn banded(low: f64, high: f64) -> Self {
         // A constant field has one band.

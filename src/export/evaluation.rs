@@ -13,7 +13,9 @@ use std::{fmt::Write as _, fs, io::Write, path::Path};
 pub struct EvaluationReport {
     /// Name of the scan.
     pub session: String,
-    /// Refinements made, each without its share of the views.
+    /// Both surfaces against a measured one, if there is one.
+    pub truth: Option<AgainstTruth>,
+    /// Refinements made, each without its share of the views; none if no views were left out.
     pub n_folds: usize,
     /// All views together.
     pub overall: LeftOutView,
@@ -26,6 +28,36 @@ pub struct EvaluationReport {
     /// The pictures.
     #[serde(skip)]
     pub pictures: EvaluationPictures,
+}
+
+/// Base and refined surface against a measured one.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct AgainstTruth {
+    /// The object of the base mesh.
+    pub base: TruthFigures,
+    /// The refined mesh, if it is delivered.
+    pub refined: Option<TruthFigures>,
+}
+
+/// How far a surface is from a measured one, after the best rigid alignment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct TruthFigures {
+    /// Points compared.
+    pub n_points: usize,
+    /// Mean distance, millimetres.
+    pub mean_mm: f64,
+    /// Median distance, millimetres.
+    pub median_mm: f64,
+    /// Root mean square distance, millimetres.
+    pub rms_mm: f64,
+    /// Root mean square of the signed distance less its mean within 8 mm, millimetres.
+    pub detail_rms_mm: f64,
+    /// Mean angle between normals, degrees.
+    pub normal_mean_deg: f64,
+    /// Median angle between normals, degrees.
+    pub normal_median_deg: f64,
+    /// Share of the truth that was seen and has surface within 2 mm.
+    pub completeness: f64,
 }
 
 /// A view that was left out: root mean squares as shares of its mean observed linear intensity.
@@ -113,23 +145,15 @@ fn markdown(report: &EvaluationReport) -> String {
         // Writing into a string does not fail.
         let _ = writeln!(text, "{line}");
     };
-    line(&format!(
-        "Views left out in {} folds, rendered pixel by pixel from base and refined mesh and compared with what the sensor saw: root mean \
-         squares as shares of the mean linear intensity.\n",
-        report.n_folds
-    ));
+    if let Some(truth) = &report.truth {
+        against_truth(truth, &mut line);
+    }
     if let Some(reason) = &report.not_refined_reason {
         line(&format!("The refined mesh is not delivered: {reason}.\n"));
     }
-    line(&format!("| frame | {COLUMNS}"));
-    line(&format!("|---|{RULE}"));
-    for view in &report.views {
-        let name = view
-            .frame_id
-            .map_or_else(String::new, |frame_id| frame_id.to_string());
-        line(&row(&name, view));
+    if report.n_folds > 0 {
+        left_out(report, &mut line);
     }
-    line(&row("all", &report.overall));
     if !report.ablations.is_empty() {
         line(
             "\n## With something changed\n\nAll judged by the same quarter of the views, none of which was learnt from.\n",
@@ -163,6 +187,60 @@ fn markdown(report: &EvaluationReport) -> String {
     text
 }
 
+/// Every view that was left out.
+fn left_out(report: &EvaluationReport, line: &mut impl FnMut(&str)) {
+    line(&format!(
+        "Views left out in {} folds, rendered pixel by pixel from base and refined mesh and compared with what the sensor saw: root mean \
+         squares as shares of the mean linear intensity.\n",
+        report.n_folds
+    ));
+    line(&format!("| frame | {COLUMNS}"));
+    line(&format!("|---|{RULE}"));
+    for view in &report.views {
+        let name = view
+            .frame_id
+            .map_or_else(String::new, |frame_id| frame_id.to_string());
+        line(&row(&name, view));
+    }
+    line(&row("all", &report.overall));
+}
+
+/// Distances to the truth, in the columns of `TruthFigures`.
+fn against_truth(truth: &AgainstTruth, line: &mut impl FnMut(&str)) {
+    line(
+        "Against the measured surface, after the best rigid alignment; detail is the signed distance less its mean within 8 mm.\n",
+    );
+    line(
+        "| mesh | points | mean mm | median mm | RMS mm | detail RMS mm | normals mean ° | median ° | complete within 2 mm % |",
+    );
+    line("|---|---|---|---|---|---|---|---|---|");
+    let mut row = |name: &str, f: &TruthFigures| {
+        line(&format!(
+            "| {name} | {} | {:.3} | {:.3} | {:.3} | {:.4} | {:.2} | {:.2} | {:.1} |",
+            f.n_points,
+            f.mean_mm,
+            f.median_mm,
+            f.rms_mm,
+            f.detail_rms_mm,
+            f.normal_mean_deg,
+            f.normal_median_deg,
+            100.0 * f.completeness
+        ));
+    };
+    row("base", &truth.base);
+    if let Some(refined) = &truth.refined {
+        row("refined", refined);
+        let change = |before: f64, after: f64| 100.0 * (after / before - 1.0);
+        line(&format!(
+            "\nDistance {:+.1} %, detail {:+.1} %, normals {:+.1} %.",
+            change(truth.base.mean_mm, refined.mean_mm),
+            change(truth.base.detail_rms_mm, refined.detail_rms_mm),
+            change(truth.base.normal_mean_deg, refined.normal_mean_deg)
+        ));
+    }
+    line("");
+}
+
 const COLUMNS: &str =
     "pixels | intensity base % | refined % | noise % | gradient base % | refined % | noise % |";
 const RULE: &str = "---|---|---|---|---|---|---|";
@@ -191,6 +269,20 @@ mod tests {
         };
         let report = EvaluationReport {
             session: "pot".into(),
+            truth: Some(AgainstTruth {
+                base: TruthFigures {
+                    mean_mm: 0.8,
+                    detail_rms_mm: 0.2,
+                    normal_mean_deg: 10.0,
+                    ..TruthFigures::default()
+                },
+                refined: Some(TruthFigures {
+                    mean_mm: 0.6,
+                    detail_rms_mm: 0.1,
+                    normal_mean_deg: 11.0,
+                    ..TruthFigures::default()
+                }),
+            }),
             n_folds: 4,
             overall: LeftOutView {
                 frame_id: None,
@@ -217,6 +309,10 @@ mod tests {
         );
         assert!(
             text.contains("| 3 views |") && text.contains(" 0.021 |"),
+            "{text}"
+        );
+        assert!(
+            text.contains("Distance -25.0 %, detail -50.0 %, normals +10.0 %."),
             "{text}"
         );
         assert!(folder.path().join("images/error-base.png").is_file());

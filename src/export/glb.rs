@@ -3,7 +3,7 @@
 //! The mesh keeps its own coordinates (metres, frame `world`: x right, y down, z forward); the root node turns the scene by
 //! 180° about x, so that it stands upright in glTF's y-up frame.
 
-use super::{ExportError, atomic::write_atomically, validate::check_surface};
+use super::{ExportError, VertexAttributes, atomic::write_atomically, validate::check_surface};
 use crate::geometry::TriMesh;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
@@ -22,7 +22,8 @@ const FLOAT: u32 = 5126;
 /// Writes a mesh as binary glTF 2.0 with one rough, non-metallic, double-sided material.
 ///
 /// Albedo, if given, becomes the linear vertex colour in grey. Colours end at 1: albedos beyond that are all divided by the
-/// largest, which stands in the file as `meshes[0].extras.albedo_full_scale`. Where a vertex has no normal (zero length),
+/// largest, which stands in the file as `meshes[0].extras.albedo_full_scale`. The other attributes are the application's own:
+/// `_SIGMA` (metres), `_CONFIDENCE`, `_COVERAGE` (0 to 1), `_VIEWS` and `_LABEL`, all floats. Where a vertex has no normal (zero length),
 /// the file says (0, 0, −1), towards the first camera, since glTF demands unit length.
 ///
 /// # Errors
@@ -32,14 +33,14 @@ pub fn write_glb(
     path: &Path,
     mesh: &TriMesh,
     normals: &[Vector3<f64>],
-    albedo: Option<&[f64]>,
+    attributes: Option<&VertexAttributes>,
 ) -> Result<(), ExportError> {
-    check_surface(path, mesh, normals, albedo)?;
+    check_surface(path, mesh, normals, attributes)?;
     if mesh.faces.is_empty() {
         let reason = "the mesh has no faces, glTF knows no empty mesh".into();
         return Err(ExportError::unfit(path, reason));
     }
-    let (document, binary) = describe(mesh, normals, albedo);
+    let (document, binary) = describe(mesh, normals, attributes);
     let glb = assemble(&document, binary.bytes)
         .ok_or_else(|| ExportError::unfit(path, "the file would pass 4 GiB".into()))?;
     write_atomically(path, |file| file.write_all(&glb))
@@ -65,7 +66,11 @@ impl Binary {
 }
 
 /// The glTF document and the buffer that it speaks of.
-fn describe(mesh: &TriMesh, normals: &[Vector3<f64>], albedo: Option<&[f64]>) -> (Value, Binary) {
+fn describe(
+    mesh: &TriMesh,
+    normals: &[Vector3<f64>],
+    known: Option<&VertexAttributes>,
+) -> (Value, Binary) {
     let words = |v: Vector3<f64>| [v.x, v.y, v.z].map(|x| (x as f32).to_le_bytes());
     let unit = |n: &Vector3<f64>| n.try_normalize(1e-12).unwrap_or(-Vector3::z());
     let n_vertices = mesh.vertices.len();
@@ -87,7 +92,8 @@ fn describe(mesh: &TriMesh, normals: &[Vector3<f64>], albedo: Option<&[f64]>) ->
     ];
     let mut attributes = json!({"POSITION": 1, "NORMAL": 2});
     let mut extras = json!({"unit": "metre"});
-    if let Some(albedo) = albedo {
+    if let Some(known) = known {
+        let albedo = known.albedo;
         let full_scale = albedo.iter().copied().fold(1.0, f64::max);
         let grey = |rho: &f64| [(255.0 * rho / full_scale).round() as u8; 3];
         let colours = albedo.iter().map(grey).map(|[r, g, b]| [r, g, b, 255]);
@@ -97,6 +103,22 @@ fn describe(mesh: &TriMesh, normals: &[Vector3<f64>], albedo: Option<&[f64]>) ->
         }));
         attributes["COLOR_0"] = json!(3);
         extras["albedo_full_scale"] = json!(full_scale);
+        let floats = known
+            .floats()
+            .into_iter()
+            .filter(|(name, _)| *name != "albedo");
+        let floats = floats.map(|(name, column)| (name, column.to_vec()));
+        let counts = known.counts().into_iter();
+        let counts =
+            counts.map(|(name, column)| (name, column.iter().copied().map(f64::from).collect()));
+        for (name, column) in floats.chain(counts) {
+            let values = column.iter().map(|&value| (value as f32).to_le_bytes());
+            let view = binary.push(ARRAY_BUFFER, values);
+            attributes[format!("_{}", name.to_uppercase())] = json!(accessors.len());
+            accessors.push(json!({
+                "bufferView": view, "componentType": FLOAT, "count": n_vertices, "type": "SCALAR",
+            }));
+        }
     }
     let document = json!({
         "asset": {"version": "2.0", "generator": "relief"},
@@ -156,7 +178,7 @@ fn assemble(document: &Value, binary: Vec<u8>) -> Option<Vec<u8>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::bumpy_sphere;
+    use super::super::tests::{Columns, bumpy_sphere};
     use super::*;
 
     /// Takes a file apart, checking every length on the way.
@@ -208,8 +230,8 @@ mod tests {
         let mesh = bumpy_sphere(16);
         let mut normals = mesh.vertex_normals();
         normals[0] = Vector3::zeros();
-        let albedo: Vec<f64> = (0..mesh.vertices.len()).map(|k| 0.01 * k as f64).collect();
-        write_glb(&path, &mesh, &normals, Some(&albedo)).unwrap();
+        let columns = Columns::of(mesh.vertices.len());
+        write_glb(&path, &mesh, &normals, Some(&columns.attributes())).unwrap();
         let (document, binary) = dissect(&std::fs::read(&path).unwrap());
         assert_eq!(document["buffers"][0]["byteLength"], json!(binary.len()));
 
@@ -234,7 +256,18 @@ mod tests {
         assert_eq!(&colours[colours.len() - 4..], [255; 4]);
         let extras = &document["meshes"][0]["extras"];
         let full_scale = extras["albedo_full_scale"].as_f64().unwrap();
-        assert!((full_scale - albedo[albedo.len() - 1]).abs() < 1e-12);
+        assert!((full_scale - columns.albedo[columns.albedo.len() - 1]).abs() < 1e-12);
+        let attributes = &document["meshes"][0]["primitives"][0]["attributes"];
+        let column = |name: &str| {
+            let accessor = attributes[name].as_u64().unwrap() as usize;
+            floats(bytes_of(&document, &binary, accessor))
+        };
+        let narrow = |values: &[f64]| values.iter().map(|&x| x as f32).collect::<Vec<f32>>();
+        assert_eq!(column("_SIGMA"), narrow(&columns.sigma_m));
+        assert_eq!(column("_CONFIDENCE"), narrow(&columns.confidence));
+        assert_eq!(column("_COVERAGE"), narrow(&columns.coverage));
+        assert_eq!(column("_LABEL")[5], f32::from(columns.label[5]));
+        assert_eq!(column("_VIEWS")[5], f32::from(columns.n_views[5]));
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! to glTF's y-up by its root node. Nothing here decides what is exported or where; it is told by the pipeline.
 
 mod atomic;
+mod attributes;
 mod error;
 mod validate;
 
@@ -30,6 +31,7 @@ mod report_format;
 mod report_html;
 mod report_refinement;
 mod report_sections;
+mod surface_field;
 
 mod calibration_distance;
 mod calibration_flat_field;
@@ -40,13 +42,15 @@ mod colour_scale;
 mod scatter;
 
 pub use atomic::write_atomically;
+pub use attributes::VertexAttributes;
 pub use calibration_page::{
     CalibrationPage, CalibrationResult, CalibrationSession, DistanceFigure, FlatFieldFigure,
     ResponseFigure, write_calibration_page,
 };
 pub use error::ExportError;
 pub use evaluation::{
-    Ablation, EvaluationPictures, EvaluationReport, LeftOutView, write_evaluation,
+    Ablation, AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, TruthFigures,
+    write_evaluation,
 };
 pub use glb::write_glb;
 pub use material::PhongParams;
@@ -57,12 +61,13 @@ pub use png::{
     decode_png_grey16, encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba,
 };
 pub use report::{
-    AlbedoShare, BaseMesh, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA, RefinedMesh,
-    RefinedView, Report, StageTiming, Tracking, write_report_json,
+    AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA,
+    RefinedMesh, RefinedView, Report, StageTiming, Tracking, write_report_json,
 };
-pub use report_html::{ReportPictures, write_report_html};
+pub use report_html::{ReportPictures, SurfaceField, write_report_html};
 pub use snapshot_reader::{StoredSnapshot, read_snapshots};
 pub use snapshots::{SnapshotRecord, write_snapshots};
+pub use surface_field::draw_field;
 pub use trajectory::{read_trajectory, write_trajectory};
 pub use views::{MeanView, PictureSize, PictureView, three_views};
 

@@ -129,7 +129,7 @@ pub struct RefinedMesh {
     pub iterations: Vec<Iteration>,
     /// Mean length of an edge, metres.
     pub edge_length_m: f64,
-    /// The materials found, the largest first.
+    /// The materials found, in the order of their labels, from dark to bright.
     pub albedo: Vec<AlbedoShare>,
     /// Difference of rendered and observed IR over all views on the base mesh, root mean square, share of the mean observed
     /// linear intensity.
@@ -138,8 +138,25 @@ pub struct RefinedMesh {
     pub rmse_after: f64,
     /// What images that refinement did not use say of both meshes.
     pub held_out: HeldOut,
+    /// What the images say of the vertices.
+    pub evidence: Evidence,
     /// The shading images.
     pub views: Vec<RefinedView>,
+}
+
+/// What the images say of the vertices of a refined mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Evidence {
+    /// Share of the vertices that no image shows: there the surface is as it was fused.
+    pub unseen_share: f64,
+    /// Share of the vertices that images show, but not from where their tilt would change the brightness.
+    pub weak_share: f64,
+    /// Images that show a vertex, median.
+    pub median_views: usize,
+    /// Standard deviation of the displacement, median, metres.
+    pub median_sigma_m: f64,
+    /// Nine tenths of the vertices have no larger one, metres.
+    pub high_sigma_m: f64,
 }
 
 /// Images held out from refinement against what is rendered from either mesh, integrated over pixels: root mean squares as

@@ -5,6 +5,7 @@
 use super::{
     ExportError, Report,
     atomic::write_atomically,
+    colour_scale::{ColourScale, Described},
     encode_png_grey8, encode_png_rgb,
     page::{data_address, document},
     report_refinement as refining, report_sections as sections,
@@ -27,6 +28,23 @@ pub struct ReportPictures {
     pub thumbnails: Vec<(String, Image<u8>)>,
     /// A depth image, already as grey.
     pub depth_thumbnail: Option<Image<u8>>,
+    /// What is known of the refined mesh, seen from the front.
+    pub fields: Vec<SurfaceField>,
+}
+
+/// Numbers on the surface, drawn from one side.
+#[derive(Clone, Debug)]
+pub struct SurfaceField {
+    /// Name and unit.
+    pub title: &'static str,
+    /// What is to be known beside.
+    pub caption: String,
+    /// The numbers; NaN where there is no surface.
+    pub values: Image<f32>,
+    /// The ends of the colours.
+    pub range: [f64; 2],
+    /// From the numbers to what stands at the colours, such as 1000 for millimetres.
+    pub factor: f64,
 }
 
 /// Writes a report as one HTML file that refers to nothing outside itself.
@@ -50,6 +68,7 @@ pub(super) struct EncodedPictures {
     pub refined: Vec<String>,
     pub thumbnails: Vec<(String, String)>,
     pub depth: Option<String>,
+    pub fields: Vec<Markup>,
 }
 
 impl EncodedPictures {
@@ -71,8 +90,25 @@ impl EncodedPictures {
                 .map(thumbnail)
                 .collect::<io::Result<_>>()?,
             depth: pictures.depth_thumbnail.as_ref().map(grey).transpose()?,
+            fields: pictures
+                .fields
+                .iter()
+                .map(field)
+                .collect::<io::Result<_>>()?,
         })
     }
+}
+
+/// A picture of a field with its colours.
+fn field(field: &SurfaceField) -> io::Result<Markup> {
+    let [low, high] = field.range;
+    let described = Described {
+        title: field.title,
+        alt: format!("{} on the refined mesh, from the front", field.title),
+        caption: field.caption.clone(),
+        factor: field.factor,
+    };
+    ColourScale::sequential(low, high).figure(&field.values, &described)
 }
 
 fn page(report: &Report, pictures: &EncodedPictures) -> Markup {
@@ -83,7 +119,7 @@ fn page(report: &Report, pictures: &EncodedPictures) -> Markup {
         (sections::key_figures(report))
         (sections::surface(report, pictures))
         @if let Some(refined) = &report.refined_mesh {
-            (refining::refinement(refined))
+            (refining::refinement(refined, pictures))
             (refining::views(refined))
         }
         (sections::images(pictures))
@@ -98,7 +134,7 @@ fn page(report: &Report, pictures: &EncodedPictures) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::super::{
-        BaseMesh, Iteration, LostSpan, RefinedMesh, RefinedView, StageTiming, Tracking,
+        BaseMesh, Evidence, Iteration, LostSpan, RefinedMesh, RefinedView, StageTiming, Tracking,
         page::assert_self_contained,
     };
     use super::*;
@@ -147,6 +183,10 @@ mod tests {
             views: vec![view; 2],
             rmse_before: 0.04,
             rmse_after: 0.02,
+            evidence: Evidence {
+                unseen_share: 0.1,
+                ..Evidence::default()
+            },
             ..RefinedMesh::default()
         }
     }
@@ -170,6 +210,13 @@ mod tests {
             refined: vec![picture; 3],
             thumbnails: vec![("frame 42".into(), Image::filled(4, 3, 9u8))],
             depth_thumbnail: Some(Image::filled(4, 3, 90u8)),
+            fields: vec![SurfaceField {
+                title: "Coverage",
+                caption: "of the worst known tilt".into(),
+                values: Image::filled(4, 3, 0.5f32),
+                range: [0.0, 1.0],
+                factor: 1.0,
+            }],
         };
         let page = written(&report, &pictures);
         for id in [
@@ -190,7 +237,11 @@ mod tests {
                 && page.contains("12\u{202f}345")
                 && page.contains("−50 %")
         );
-        assert_eq!(page.matches("<img").count(), 8);
+        // A field is a picture and its bar.
+        assert_eq!(page.matches("<img").count(), 10);
+        assert!(
+            page.contains("of the worst known tilt") && page.contains("10.00 % of its vertices")
+        );
         assert_eq!(page.matches("<svg").count(), 2);
         assert_self_contained(&page);
     }

@@ -1,14 +1,15 @@
 //! The sections of the report page that exist only when a scan was refined.
 
+use super::report_html::EncodedPictures;
 use super::{
-    HeldOut, RefinedMesh,
+    Evidence, HeldOut, RefinedMesh,
     chart::{Labels, Series, bars, log_lines},
     report_format::{change, compact, count, fixed, length, percent},
 };
 use maud::{Markup, html};
 
 /// How refinement went, step by step.
-pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
+pub(super) fn refinement(refined: &RefinedMesh, pictures: &EncodedPictures) -> Markup {
     let numbers = || {
         (1..=refined.iterations.len())
             .map(|k| k.to_string())
@@ -36,13 +37,32 @@ pub(super) fn refinement(refined: &RefinedMesh) -> Markup {
                 } }
             }
             @if refined.held_out.n_views > 0 { (held_out(&refined.held_out)) }
+            (evidence(&refined.evidence))
             @if !refined.albedo.is_empty() {
                 p class="quiet" { "Albedo: "
-                    @for (k, material) in refined.albedo.iter().enumerate() {
-                        @if k > 0 { ", " }
-                        (fixed(material.albedo, 3)) " on " (fixed(100.0 * material.area_share, 0)) " % of the surface"
+                    @for (label, material) in refined.albedo.iter().enumerate() {
+                        @if label > 0 { ", " }
+                        (fixed(material.albedo, 3)) " (label " (label) ") on " (fixed(100.0 * material.area_share, 0)) " % of the surface"
                     } "."
                 }
+            }
+            @if !pictures.fields.is_empty() {
+                div class="row" { @for field in &pictures.fields { (field) } }
+            }
+        }
+    }
+}
+
+/// How well the vertices are known.
+fn evidence(evidence: &Evidence) -> Markup {
+    html! {
+        p { "A vertex is seen by " (evidence.median_views) " images in the median, its displacement known to "
+            (length(evidence.median_sigma_m)) " (nine tenths of them to " (length(evidence.high_sigma_m)) ")."
+            @if evidence.unseen_share > 0.0 {
+                " No image shows " strong { (percent(evidence.unseen_share)) " of its vertices" } ": there the surface is as it was fused."
+            }
+            @if evidence.weak_share > 0.0 {
+                " Of another " (percent(evidence.weak_share)) " images say little, since they show them from one side only."
             }
         }
     }

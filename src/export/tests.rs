@@ -1,5 +1,6 @@
 //! Scenes shared by the tests of all writers.
 
+use super::VertexAttributes;
 use crate::geometry::TriMesh;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::{PI, TAU};
@@ -42,6 +43,41 @@ pub(super) fn bumpy_sphere(n: usize) -> TriMesh {
         mesh.faces.push([at(n - 1, k), last, at(n - 1, k + 1)]);
     }
     mesh
+}
+
+/// Attributes of so many vertices, all different.
+pub(super) struct Columns {
+    pub albedo: Vec<f64>,
+    pub sigma_m: Vec<f64>,
+    pub confidence: Vec<f64>,
+    pub coverage: Vec<f64>,
+    pub n_views: Vec<u8>,
+    pub label: Vec<u8>,
+}
+
+impl Columns {
+    pub fn of(n: usize) -> Self {
+        let ramp = |factor: f64| (0..n).map(|k| factor * k as f64).collect();
+        Columns {
+            albedo: ramp(0.01),
+            sigma_m: ramp(1e-6),
+            confidence: ramp(1.0 / n as f64),
+            coverage: ramp(0.5 / n as f64),
+            n_views: (0..n).map(|k| (k % 64) as u8).collect(),
+            label: (0..n).map(|k| (k % 3) as u8).collect(),
+        }
+    }
+
+    pub fn attributes(&self) -> VertexAttributes<'_> {
+        VertexAttributes {
+            albedo: &self.albedo,
+            sigma_m: &self.sigma_m,
+            confidence: &self.confidence,
+            coverage: &self.coverage,
+            n_views: &self.n_views,
+            label: &self.label,
+        }
+    }
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! What every mesh writer demands of its input before the first byte is written.
 
-use super::ExportError;
+use super::{ExportError, VertexAttributes};
 use crate::geometry::TriMesh;
 use nalgebra::Vector3;
 use std::path::Path;
 
-/// Checks that a mesh with its attributes can stand in a file: one finite normal and one finite, non-negative albedo a
-/// vertex, finite positions, and faces that name existing vertices.
+/// Checks that a mesh with its attributes can stand in a file: one finite normal and one finite, non-negative value of every
+/// attribute a vertex, finite positions, and faces that name existing vertices.
 ///
 /// # Errors
 /// [`ExportError::Unfit`] naming the first offender.
@@ -14,7 +14,7 @@ pub(super) fn check_surface(
     path: &Path,
     mesh: &TriMesh,
     normals: &[Vector3<f64>],
-    albedo: Option<&[f64]>,
+    attributes: Option<&VertexAttributes>,
 ) -> Result<(), ExportError> {
     let unfit = |reason: String| Err(ExportError::unfit(path, reason));
     let n_vertices = mesh.vertices.len();
@@ -38,25 +38,5 @@ pub(super) fn check_surface(
             "face {face} is {corners:?}, there are {n_vertices} vertices"
         ));
     }
-    albedo.map_or(Ok(()), |albedo| check_albedo(path, n_vertices, albedo))
-}
-
-fn check_albedo(path: &Path, n_vertices: usize, albedo: &[f64]) -> Result<(), ExportError> {
-    if albedo.len() != n_vertices {
-        let reason = format!("{} albedos for {n_vertices} vertices", albedo.len());
-        return Err(ExportError::unfit(path, reason));
-    }
-    match albedo
-        .iter()
-        .position(|&rho| !((rho as f32).is_finite() && rho >= 0.0))
-    {
-        Some(vertex) => Err(ExportError::unfit(
-            path,
-            format!(
-                "the albedo of vertex {vertex} is {}, must be finite and at least 0",
-                albedo[vertex]
-            ),
-        )),
-        None => Ok(()),
-    }
+    attributes.map_or(Ok(()), |attributes| attributes.check(path, n_vertices))
 }

@@ -4,8 +4,9 @@ use super::{output_folder::OutputFolder, snapshot_meta::SnapshotMeta};
 use crate::{
     capture::RecorderSummary,
     export::{
-        ExportError, Report, ReportPictures, SnapshotRecord, write_atomically, write_glb,
-        write_ply, write_report_html, write_report_json, write_snapshots, write_trajectory,
+        ExportError, Report, ReportPictures, SnapshotRecord, VertexAttributes, write_atomically,
+        write_glb, write_ply, write_report_html, write_report_json, write_snapshots,
+        write_trajectory,
     },
     geometry::{Pose, TriMesh},
     refine::Refinement,
@@ -96,9 +97,17 @@ impl Outbox {
     pub fn refined_mesh(&self, refinement: &Refinement) {
         let mesh: &TriMesh = &refinement.mesh;
         let normals = mesh.vertex_normals();
-        let albedo = Some(refinement.albedo.as_slice());
-        self.write(REFINED_PLY, |path| write_ply(path, mesh, &normals, albedo));
-        self.write(REFINED_GLB, |path| write_glb(path, mesh, &normals, albedo));
+        let evidence = &refinement.evidence;
+        let known = Some(&VertexAttributes {
+            albedo: &refinement.albedo,
+            sigma_m: &evidence.sigma_m,
+            confidence: &evidence.confidence,
+            coverage: &evidence.coverage,
+            n_views: &evidence.n_views,
+            label: &refinement.labels,
+        });
+        self.write(REFINED_PLY, |path| write_ply(path, mesh, &normals, known));
+        self.write(REFINED_GLB, |path| write_glb(path, mesh, &normals, known));
     }
 
     /// Writes the shading images. `masks` says for each which pixels refinement could use; before there are any, the mask

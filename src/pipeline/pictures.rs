@@ -2,8 +2,12 @@
 
 use super::{fusion_stage::FusedScan, refine_stage::RefineSummary};
 use crate::{
-    export::{MeanView, PhongParams, PictureSize, PictureView, ReportPictures, phong, three_views},
+    export::{
+        MeanView, PhongParams, PictureSize, PictureView, ReportPictures, SurfaceField, draw_field,
+        phong, three_views,
+    },
     geometry::TriMesh,
+    refine::Refinement,
     snapshot::ShadingSnapshot,
 };
 use depth_camera::Image;
@@ -34,7 +38,63 @@ pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
             .collect(),
         thumbnails: snapshots.step_by(every).map(thumbnail).collect(),
         depth_thumbnail: scan.last_depth.as_ref().map(depth_as_grey),
+        fields: match (&views, &refined.refinement) {
+            (Some([front, ..]), Some(refinement)) => fields(refinement, front),
+            _ => Vec::new(),
+        },
     }
+}
+
+/// What is known of a refined mesh.
+fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
+    let evidence = &refinement.evidence;
+    let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
+    let field = |title, caption: &str, values: &[f64], high: f64, factor| SurfaceField {
+        title,
+        caption: caption.to_owned(),
+        values: draw_field(&refinement.mesh, values, front),
+        range: [0.0, high],
+        factor,
+    };
+    let n_views: Vec<f64> = evidence.n_views.iter().copied().map(f64::from).collect();
+    let high_sigma_m = evidence.summary().high_sigma_m;
+    vec![
+        field(
+            "Albedo",
+            "That of the group to which the surface was given; one colour is one label.",
+            &refinement.albedo,
+            largest(&refinement.albedo),
+            1.0,
+        ),
+        field(
+            "Sigma, mm",
+            "Standard deviation of the displacement.",
+            &evidence.sigma_m,
+            1.2 * high_sigma_m,
+            1000.0,
+        ),
+        field(
+            "Confidence",
+            "Share of the displacement's variance that the images took away.",
+            &evidence.confidence,
+            1.0,
+            1.0,
+        ),
+        field(
+            "Coverage",
+            "Share of what is known of the worst known tilt that the images say; dark means the prior rules.",
+            &evidence.coverage,
+            1.0,
+            1.0,
+        ),
+        field(
+            "Images",
+            "How many shading images show the surface; where there is none it is as it was fused.",
+            &n_views,
+            largest(&n_views),
+            1.0,
+        ),
+    ]
 }
 
 fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {

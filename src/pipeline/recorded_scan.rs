@@ -7,6 +7,9 @@ use super::{
 };
 use crate::{
     export::{ExportError, StoredSnapshot, read_ply, read_snapshots, read_trajectory},
+    geometry::{CameraModel, RayGrid},
+    refine::{Optics, surface_of_view},
+    shading::Calibration,
     snapshot::{ShadingSnapshot, SnapshotSelection},
 };
 use depth_camera::CameraInfo;
@@ -30,6 +33,17 @@ pub enum RecordedScanError {
     /// There are no shading images, so that the camera is unknown too.
     #[error("{} holds no shading images", .0.display())]
     NoSnapshots(PathBuf),
+    /// The frame asked for is no shading image.
+    #[error("frame {frame_id} is none of the shading images, which are of frames {}", list(.known))]
+    NotAShadingImage {
+        /// The frame asked for.
+        frame_id: u64,
+        /// The frames that there are.
+        known: Vec<u64>,
+    },
+    /// The image cannot be understood.
+    #[error("the scan does not say where its light is, or what full scale is")]
+    NoLight,
     /// What stands beside an image makes no sense.
     #[error("{} is malformed: {reason}", path.display())]
     Meta {
@@ -81,6 +95,55 @@ impl RecordedScan {
             },
         })
     }
+}
+
+impl RecordedScan {
+    /// The scan as one of its shading images alone shows it: the surface is that of its depth map.
+    ///
+    /// # Errors
+    /// If there is no shading image of that frame, or the scan does not say where its light is.
+    pub fn single_view(
+        self,
+        frame_id: u64,
+        calibration: &Calibration,
+    ) -> Result<RecordedScan, RecordedScanError> {
+        let RecordedScan { info, scan } = self;
+        let accepted = scan.snapshots.map(|snapshots| snapshots.accepted);
+        let accepted = accepted.unwrap_or_default();
+        let known = accepted.iter().map(|snapshot| snapshot.frame_id).collect();
+        let snapshot = accepted
+            .into_iter()
+            .find(|snapshot| snapshot.frame_id == frame_id)
+            .ok_or(RecordedScanError::NotAShadingImage { frame_id, known })?;
+        let (Some(light), Some(full_scale)) = (info.light, info.ir_full_scale) else {
+            return Err(RecordedScanError::NoLight);
+        };
+        let rays = RayGrid::new(CameraModel::new(info.intrinsics));
+        let optics = Optics {
+            rays: &rays,
+            light: calibration.light.near_light(&light),
+            full_scale,
+            calibration,
+        };
+        Ok(RecordedScan {
+            scan: FusedScan {
+                base: surface_of_view(&snapshot, &optics),
+                world_from_cameras: vec![snapshot.world_from_camera],
+                snapshots: Some(SnapshotSelection {
+                    accepted: vec![snapshot],
+                    rejected: Vec::new(),
+                }),
+                last_depth: None,
+            },
+            info,
+        })
+    }
+}
+
+/// Numbers between commas.
+fn list(numbers: &[u64]) -> String {
+    let words: Vec<String> = numbers.iter().map(u64::to_string).collect();
+    words.join(", ")
 }
 
 fn shading_snapshot(stored: StoredSnapshot, meta: &SnapshotMeta) -> ShadingSnapshot {

@@ -195,11 +195,14 @@ fn deliver_base(setup: &RefineSetup, base: &TriMesh, outbox: &Outbox) -> BaseMes
     }
 }
 
-/// Fills the holes of a refined mesh; what fills them has the albedo of its rim.
+/// Fills the holes of a refined mesh; what fills them has the albedo and the evidence of its rim.
 fn close(refinement: &mut Refinement) {
     let closed = close_holes(&refinement.mesh);
     let albedo = |&vertex: &u32| refinement.albedo[vertex as usize];
+    let label = |&vertex: &u32| refinement.labels[vertex as usize];
     refinement.albedo = closed.from.iter().map(albedo).collect();
+    refinement.labels = closed.from.iter().map(label).collect();
+    refinement.evidence = refinement.evidence.of_vertices(&closed.from);
     refinement.mesh = closed.mesh;
 }
 

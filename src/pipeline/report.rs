@@ -11,8 +11,8 @@ use super::{
 use crate::{
     capture::CaptureSummary,
     export::{
-        AlbedoShare, BaseMesh, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView, Report,
-        Tracking,
+        AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView,
+        Report, Tracking,
     },
     refine::{Judgement, RefineStatus, Refinement},
     snapshot::ShadingSnapshot,
@@ -64,6 +64,11 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
     });
     let mut warnings = warnings(subject, endings, account);
     warnings.extend(refined.refinement.as_ref().and_then(unjudged));
+    warnings.extend(
+        refined.refinement.as_ref().and_then(|refinement| {
+            one_for_all(&refinement.albedo_groups, refinement.albedo_spread)
+        }),
+    );
     Report {
         session: subject.session.clone(),
         sensor: subject.info.sensor.name().to_owned(),
@@ -119,6 +124,22 @@ fn unjudged(refinement: &Refinement) -> Option<String> {
     (refinement.judgement.overall.n_pixels == 0).then(|| {
         "too few shading images to hold one out: nothing says whether the refined mesh is better than the base mesh"
             .to_owned()
+    })
+}
+
+/// The warning about one label (albedos with their shares of the surface) where facets differ more than a material does.
+fn one_for_all(groups: &[(f64, f64)], spread: f64) -> Option<String> {
+    /// From this share on a label has swallowed the rest; arbitrary.
+    const SWALLOWED: f64 = 0.98;
+    /// Spread of the facets' own log albedos about their groups': 0.05 to 0.15 where the groups are right.
+    const MAX_SPREAD: f64 = 0.25;
+    let largest = groups.iter().map(|(_, share)| *share).fold(0.0, f64::max);
+    (largest >= SWALLOWED && spread > MAX_SPREAD).then(|| {
+        format!(
+            "one albedo was taken for {:.0} % of the surface, whose own albedos spread by {:.0} % about it: more materials than              could be told apart; their borders may stand out as relief",
+            100.0 * largest,
+            100.0 * spread
+        )
     })
 }
 
@@ -211,6 +232,7 @@ fn refined_mesh(
         rmse_before: refinement.rmse_before,
         rmse_after: refinement.rmse_after,
         held_out: held_out(&refinement.judgement),
+        evidence: evidence(refinement),
         views,
     }
 }
@@ -229,6 +251,17 @@ fn held_out(judgement: &Judgement) -> HeldOut {
     }
 }
 
+fn evidence(refinement: &Refinement) -> Evidence {
+    let summary = refinement.evidence.summary();
+    Evidence {
+        unseen_share: summary.unseen_share,
+        weak_share: summary.weak_share,
+        median_views: summary.median_views,
+        median_sigma_m: summary.median_sigma_m,
+        high_sigma_m: summary.high_sigma_m,
+    }
+}
+
 fn status_name(status: RefineStatus) -> &'static str {
     match status {
         RefineStatus::Converged => "converged",
@@ -236,5 +269,21 @@ fn status_name(status: RefineStatus) -> &'static str {
         RefineStatus::Stalled => "stalled",
         RefineStatus::Cancelled => "cancelled",
         RefineStatus::Singular => "singular",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::one_for_all;
+
+    #[test]
+    fn one_label_for_what_differs_is_told() {
+        let told = one_for_all(&[(0.1, 0.01), (0.2, 0.99)], 0.4).unwrap();
+        assert!(
+            told.contains("99 % of the surface") && told.contains("spread by 40 %"),
+            "{told}"
+        );
+        assert_eq!(one_for_all(&[(0.2, 1.0)], 0.1), None);
+        assert_eq!(one_for_all(&[(0.1, 0.4), (0.2, 0.6)], 0.4), None);
     }
 }

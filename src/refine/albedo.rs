@@ -2,15 +2,36 @@
 //!
 //! All are ratios of sums, `Σ w s I / Σ w s²` with `s = gain (n·l)/d²`; the mean of ratios that the paper prints is biased
 //! by grazing samples. Groups are the components of a mixture of Gaussians on log albedo whose number the Bayesian information
-//! criterion chooses, each facet given to the component that it and its neighbours like best (a Potts model, by iterated
-//! conditional modes).
+//! criterion chooses, or the paper's clusters; facets are given to them by Eq. (4), neighbours together, by expansion moves.
 
+use super::clusters::Clusters;
 use super::energy::unit_normal;
+use super::expansion::Labelling;
 use super::mixture::Mixture;
 use super::observations::Observations;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// How facets are put into groups of one albedo.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AlbedoMode {
+    /// By a mixture of Gaussians on log albedo with as many components as the Bayesian information criterion asks for.
+    #[default]
+    Mixture,
+    /// By the rule that the paper states in Sec. 4.2, for comparison with it.
+    Paper,
+}
+
+/// What is to be known of the groups.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlbedoParams {
+    /// How facets are put into groups.
+    pub mode: AlbedoMode,
+}
 
 /// Numerator and denominator of a ratio of sums.
 type Ratio = (f64, f64);
@@ -30,8 +51,17 @@ pub struct Albedo {
 
 /// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
-/// Cost of each neighbour in another group, in units of the mixture's negative log likelihood.
+/// Cost of each neighbour in another group, in units of a negative log likelihood: V of Eq. (4).
 const POTTS: f64 = 1.5;
+
+/// Which groups are looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Groups {
+    /// How.
+    pub mode: AlbedoMode,
+    /// So many at most.
+    pub at_most: usize,
+}
 
 impl Albedo {
     /// Estimates groups and their albedos; `current` gives the residuals whose outliers do not count. `None` where no facet
@@ -40,14 +70,34 @@ impl Albedo {
         mesh: &TriMesh,
         neighbours: &[[u32; 3]],
         observations: &Observations,
-        max_groups: usize,
+        groups: Groups,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
         let ratios = ratios(mesh, observations, current);
         let logs: Vec<f64> = ratios.iter().map(|ratio| log_albedo(*ratio)).collect();
-        let mixture = Mixture::fit(&logs, max_groups, MIN_LOG_SIGMA)?;
-        let labels = smooth_labels(&logs, neighbours, &mixture);
-        Some(Self::of_labels(labels, mixture.len(), &ratios))
+        let (n_groups, costs) = match groups.mode {
+            AlbedoMode::Mixture => {
+                let mixture = Mixture::fit(&logs, groups.at_most, MIN_LOG_SIGMA)?;
+                let cost = |face: usize, group| match logs[face].is_finite() {
+                    true => mixture.cost(group, logs[face]),
+                    false => 0.0,
+                };
+                (mixture.len(), costs(logs.len(), mixture.len(), cost))
+            }
+            AlbedoMode::Paper => {
+                let own: Vec<f64> = logs.iter().map(|log| log.exp()).collect();
+                let clusters = Clusters::fit(mesh, &own, groups.at_most)?;
+                let cost = |face, group| clusters.cost(face, group);
+                (clusters.len(), costs(logs.len(), clusters.len(), cost))
+            }
+        };
+        let labelling = Labelling {
+            costs: &costs,
+            n_labels: n_groups,
+            neighbours,
+            pair_cost: POTTS,
+        };
+        Some(Self::of_labels(labelling.solve(), n_groups, &ratios))
     }
 
     /// The albedos of given groups: Eq. (2) within each.
@@ -103,6 +153,22 @@ impl Albedo {
             .collect()
     }
 
+    /// Group of most facets round each vertex, the darkest of several.
+    pub fn labels_by_vertex(&self, mesh: &TriMesh) -> Vec<u8> {
+        let n_groups = self.groups.len();
+        let mut counts = vec![0u32; n_groups * mesh.vertices.len()];
+        for (face, &label) in mesh.faces.iter().zip(&self.labels) {
+            for &vertex in face {
+                counts[vertex as usize * n_groups + label as usize] += 1;
+            }
+        }
+        let most = |counts: &[u32]| {
+            let first_of_most = (0..n_groups).rev().max_by_key(|&group| counts[group]);
+            first_of_most.unwrap_or(0) as u8
+        };
+        counts.chunks_exact(n_groups.max(1)).map(most).collect()
+    }
+
     /// Share of the facets in each group.
     pub fn shares(&self) -> Vec<f64> {
         let mut counts = vec![0usize; self.groups.len()];
@@ -114,6 +180,13 @@ impl Albedo {
             .map(|count| count as f64 / self.labels.len().max(1) as f64)
             .collect()
     }
+}
+
+/// The data term of Eq. (4): the cost of every group for every facet, facet by facet.
+fn costs(n_faces: usize, n_groups: usize, cost: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+    let of_face = |face| (0..n_groups).map(move |group| (face, group));
+    let all = (0..n_faces).flat_map(of_face);
+    all.map(|(face, group)| cost(face, group)).collect()
 }
 
 fn log_albedo((numerator, denominator): Ratio) -> f64 {
@@ -152,44 +225,6 @@ fn ratios(
             sums
         })
         .collect()
-}
-
-/// Iterated conditional modes of the Potts model, in order of the facets; facets that nobody sees follow their neighbours.
-fn smooth_labels(logs: &[f64], neighbours: &[[u32; 3]], mixture: &Mixture) -> Vec<u8> {
-    const SWEEPS: usize = 12;
-    let best = |costs: &dyn Fn(usize) -> f64| {
-        (0..mixture.len())
-            .min_by(|&a, &b| costs(a).total_cmp(&costs(b)))
-            .unwrap_or(0) as u8
-    };
-    let own = |face: usize, group: usize| {
-        if logs[face].is_nan() {
-            0.0
-        } else {
-            mixture.cost(group, logs[face])
-        }
-    };
-    let mut labels: Vec<u8> = (0..logs.len())
-        .map(|face| best(&|group| own(face, group)))
-        .collect();
-    for _ in 0..SWEEPS {
-        let mut n_changed = 0;
-        for face in 0..logs.len() {
-            let label = best(&|group| {
-                let others = neighbours[face]
-                    .iter()
-                    .filter(|&&other| other != u32::MAX && labels[other as usize] as usize != group)
-                    .count();
-                own(face, group) + POTTS * others as f64
-            });
-            n_changed += usize::from(label != labels[face]);
-            labels[face] = label;
-        }
-        if n_changed == 0 {
-            break;
-        }
-    }
-    labels
 }
 
 /// The faces across the sides of each face; `u32::MAX` on a border. `sides` gives each face's edges.

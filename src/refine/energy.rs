@@ -143,8 +143,8 @@ impl Problem<'_> {
         matrix
     }
 
-    /// Eq. (7) and (8).
-    fn prior_matrix(&self, total_m: &[f64], couplings: &Couplings) -> NormalMatrix {
+    /// Eq. (7) and (8), which are all that is known without images.
+    pub fn prior_matrix(&self, total_m: &[f64], couplings: &Couplings) -> NormalMatrix {
         let PriorWeights {
             anchor,
             rest,

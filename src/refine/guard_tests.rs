@@ -3,7 +3,7 @@
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
 use super::scenes::{RippledPlane, calibration, optics, poses, rays};
-use super::{RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
+use super::{ImageTrust, RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
 use crate::geometry::TriMesh;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Vector3;
@@ -13,9 +13,25 @@ const RIPPLED: RippledPlane = RippledPlane {
 };
 const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
 
+/// Parameters of a coarse mesh, which is fast.
+fn coarse() -> RefineParams {
+    RefineParams {
+        edge_length_m: 0.0025,
+        ..RefineParams::default()
+    }
+}
+
 /// Refines an object from images of the rippled plane that were changed.
 fn refine_from(
     object: &TriMesh,
+    change: impl Fn(usize, &mut ShadingSnapshot),
+) -> Result<Refinement, RefineError> {
+    refine_with(object, &coarse(), change)
+}
+
+fn refine_with(
+    object: &TriMesh,
+    params: &RefineParams,
     change: impl Fn(usize, &mut ShadingSnapshot),
 ) -> Result<Refinement, RefineError> {
     let (rays, calibration) = (rays(), calibration());
@@ -33,11 +49,7 @@ fn refine_from(
         snapshots: &snapshots,
         optics: &optics,
     };
-    let params = RefineParams {
-        edge_length_m: 0.0025,
-        ..RefineParams::default()
-    };
-    refine(&subject, &params, |_| true)
+    refine(&subject, params, |_| true)
 }
 
 #[test]
@@ -91,6 +103,77 @@ fn saturated_views_are_refused_and_counted() {
         n_views: 7,
     };
     assert_eq!(result.err(), Some(expected));
+}
+
+#[test]
+fn slow_differences_of_brightness_are_measured_and_bounded() {
+    let allowed = |max_slow_gain: f64| RefineParams {
+        trust: ImageTrust {
+            max_slow_gain,
+            ..ImageTrust::default()
+        },
+        ..coarse()
+    };
+    let base = FLAT.mesh(0.0025);
+    let delivered = refine_with(&base, &allowed(0.04), |_, _| ()).expect("the light is right");
+    let measured = delivered.judgement.overall.slow_gain;
+    assert!(measured > 0.0 && measured < 0.04);
+    let limit = 0.5 * measured;
+    let Err(error) = refine_with(&base, &allowed(limit), |_, _| ()) else {
+        panic!("delivered");
+    };
+    let expected = RefineError::SlowlyContradicted {
+        slow_gain: measured,
+        limit,
+    };
+    assert_eq!(error, expected);
+    let text = error.to_string();
+    assert!(text.contains("gamma or light is wrong"), "{text}");
+}
+
+#[test]
+fn more_views_than_can_be_used_are_refused() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let snapshots = vec![FLAT.snapshot(&optics, &poses(0.0)[0]); 65];
+    let subject = Subject {
+        scene: &base,
+        object: &base,
+        snapshots: &snapshots,
+        optics: &optics,
+    };
+    let result = refine(&subject, &RefineParams::default(), |_| true);
+    assert_eq!(
+        result.err(),
+        Some(RefineError::TooManyViews { n_views: 65 })
+    );
+}
+
+#[test]
+fn no_surface_is_refused() {
+    let result = refine_from(&TriMesh::default(), |_, _| ());
+    assert_eq!(result.err(), Some(RefineError::NoSurface));
+}
+
+#[test]
+fn parts_that_do_not_touch_are_refined_alike() {
+    let whole = FLAT.mesh(0.0025);
+    let parts = whole.filter_faces(|face| whole.centroid(face).x.abs() > 0.004);
+    assert_eq!(parts.face_components().1, 2);
+    let refined = refine_from(&parts, |_, _| ()).expect("both are visible");
+    assert_eq!(refined.mesh.face_components().1, 2);
+    let normals = refined.mesh.vertex_normals();
+    for side in [-1.0, 1.0] {
+        let pairs = refined.mesh.vertices.iter().zip(&normals);
+        let inner = pairs.filter(|(p, _)| (side * p.x - 0.018).abs() < 0.01 && p.y.abs() < 0.03);
+        let (mut before, mut after) = (0.0, 0.0);
+        for (p, normal) in inner {
+            before += RIPPLED.normal(p.x, p.y).angle(&-Vector3::z());
+            after += RIPPLED.normal(p.x, p.y).angle(normal);
+        }
+        assert!(after < 0.75 * before, "{before} to {after}");
+    }
 }
 
 #[test]

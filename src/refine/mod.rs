@@ -9,16 +9,20 @@
 
 mod albedo;
 mod alignment;
+mod clusters;
 #[cfg(test)]
 mod corner_tests;
 mod couplings;
 mod crop;
 mod energy;
 mod error;
+mod evidence;
+mod expansion;
 mod gain_field;
 #[cfg(test)]
 mod guard_tests;
 mod held_out;
+mod max_flow;
 mod mixture;
 mod object;
 mod observations;
@@ -30,19 +34,24 @@ mod rendering;
 mod rounds;
 #[cfg(test)]
 mod scenes;
+mod selected_inverse;
+mod single_view;
 mod sites;
 mod solver;
 #[cfg(test)]
 mod tests;
 mod view;
 
+pub use albedo::{AlbedoMode, AlbedoParams};
 pub use alignment::AlignmentParams;
 pub use crop::{Crop, ObjectParams};
 pub use error::RefineError;
+pub use evidence::{Evidence, EvidenceSummary};
 pub use held_out::{HeldOut, ImageError, JudgedView, Judgement};
 pub use object::{Plane, Roi, select_object, select_roi};
 pub use params::RefineParams;
 pub use preparation::Subject;
+pub use single_view::surface_of_view;
 pub use solver::{Iteration, RefineStatus};
 pub use view::{ImageTrust, Optics};
 
@@ -83,8 +92,12 @@ pub struct Refinement {
     pub mesh: TriMesh,
     /// Albedo of each vertex, times the light's strength, m².
     pub albedo: Vec<f64>,
-    /// Albedo of each group of facets and the share of the facets in it.
+    /// Albedo of each group of facets and the share of the facets in it, in the order of the labels.
     pub albedo_groups: Vec<(f64, f64)>,
+    /// Group of each vertex: that of most facets round it.
+    pub labels: Vec<u8>,
+    /// What the images say of each vertex.
+    pub evidence: Evidence,
     /// Edge length of the mesh, metres.
     pub edge_length_m: f64,
     /// How it ended.
@@ -149,10 +162,13 @@ pub fn refine(
     if rmse > MAX_BELIEVABLE_RMSE {
         return Err(RefineError::Contradicted { rmse });
     }
+    let evidence = rounds.evidence(&state, all);
     let State {
         surface, albedo, ..
     } = &state;
     Ok(Refinement {
+        evidence: evidence.ok_or(RefineError::OutOfMemory)?,
+        labels: albedo.labels_by_vertex(&surface.mesh),
         albedo: albedo.by_vertex(&surface.mesh),
         albedo_groups: albedo.groups.iter().copied().zip(albedo.shares()).collect(),
         albedo_spread: albedo.spread,

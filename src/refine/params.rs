@@ -1,5 +1,6 @@
 //! What refinement needs to know, and the bounds of it.
 
+use super::albedo::AlbedoParams;
 use super::alignment::AlignmentParams;
 use super::view::ImageTrust;
 use serde::{Deserialize, Serialize};
@@ -28,6 +29,8 @@ pub struct RefineParams {
     pub max_albedos: usize,
     /// Whether light that arrives over other surfaces is predicted beside that of Eq. (1).
     pub interreflection: bool,
+    /// How they are told apart.
+    pub albedo: AlbedoParams,
     /// How far Eq. (1) is believed.
     pub trust: ImageTrust,
     /// Alignment of the views.
@@ -46,6 +49,7 @@ impl Default for RefineParams {
             slope_sigma_rad: 0.15,
             max_albedos: 4,
             interreflection: true,
+            albedo: AlbedoParams::default(),
             trust: ImageTrust::default(),
             alignment: AlignmentParams::default(),
         }

@@ -1,6 +1,6 @@
 //! One outer round: visibility, the views' poses and gains, albedo, then displacements.
 
-use super::albedo::Albedo;
+use super::albedo::{Albedo, Groups};
 use super::alignment::{AlignmentTarget, align_view};
 use super::energy::{PriorWeights, Problem, Surface, unit_normal};
 use super::observations::Observations;
@@ -43,16 +43,19 @@ pub struct State {
 /// Tukey cut-offs of the rounds: true relief is a large residual at first.
 const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
 
+/// The loss at the end, for residuals of a given scale in sigmas.
+pub fn final_loss(scale: f64) -> Tukey {
+    let [.., cutoff] = CUTOFFS;
+    Tukey { scale, cutoff }
+}
+
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
     pub fn first_albedo(&self, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Option<Albedo> {
         let observations = Observations::new(sites, views);
         let mut albedo = self.estimate_albedo(mesh, &observations, None)?;
         for _ in 0..3 {
-            let loss = Tukey {
-                scale: observations.residual_scale(mesh, &albedo.by_face),
-                cutoff: CUTOFFS[2],
-            };
+            let loss = final_loss(observations.residual_scale(mesh, &albedo.by_face));
             let current = Some((&albedo, loss));
             albedo = self.estimate_albedo(mesh, &observations, current)?;
         }
@@ -65,8 +68,11 @@ impl Rounds<'_> {
         observations: &Observations,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
-        let max_groups = self.params.max_albedos;
-        Albedo::estimate(mesh, self.neighbours, observations, max_groups, current)
+        let groups = Groups {
+            mode: self.params.albedo.mode,
+            at_most: self.params.max_albedos,
+        };
+        Albedo::estimate(mesh, self.neighbours, observations, groups, current)
     }
 
     /// Runs rounds with a set of views; the others are left as they are. `accepted` is told of each step and returns false
@@ -226,7 +232,7 @@ fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
 
 /// The priors in the solver's units, for a mesh of equilateral faces: a vertex has the area √3/2 h², cotangent weights are
 /// 1/√3.
-fn prior_weights(params: &RefineParams) -> PriorWeights {
+pub fn prior_weights(params: &RefineParams) -> PriorWeights {
     /// Distance over which the detail of the fused surface goes together, metres: a pixel's footprint or two.
     const DETAIL_M: f64 = 0.003;
     /// Standard deviation of a vertex that nothing else holds, metres.

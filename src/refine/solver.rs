@@ -2,6 +2,7 @@
 
 use super::couplings::Couplings;
 use super::energy::{NormalMatrix, Problem, Surface};
+use super::selected_inverse::inverse_diagonal;
 use faer::Side;
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
@@ -86,30 +87,45 @@ impl Pattern {
         })
     }
 
+    /// Which displacements meet.
+    pub fn couplings(&self) -> &Couplings {
+        &self.couplings
+    }
+
+    /// The diagonal of H⁻¹; `None` where H is not positive definite or memory does not suffice.
+    pub fn inverse_diagonal(&self, matrix: &NormalMatrix) -> Option<Vec<f64>> {
+        let values = self.values(matrix, 0.0);
+        inverse_diagonal(SparseColMatRef::new(self.shape(), &values))
+    }
+
     /// Solves `(H + damping · diag H) x = −gradient`; `None` where H is not positive definite.
     fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Vec<f64>> {
         let n = matrix.diagonal.len();
-        let mut values = Vec::with_capacity(self.row_indices.len());
-        let mut edge = 0;
-        for vertex in 0..n {
-            values.push(matrix.diagonal[vertex] * (1.0 + damping));
-            let n_edges = self.column_starts[vertex + 1] - self.column_starts[vertex] - 1;
-            values.extend_from_slice(&matrix.off_diagonal[edge..edge + n_edges]);
-            edge += n_edges;
-        }
-        let pattern = SymbolicSparseColMatRef::new_checked(
-            n,
-            n,
-            &self.column_starts,
-            None,
-            &self.row_indices,
-        );
-        let lower = SparseColMatRef::new(pattern, &values);
+        let values = self.values(matrix, damping);
+        let lower = SparseColMatRef::new(self.shape(), &values);
         let factor = Llt::try_new_with_symbolic(self.symbolic.clone(), lower, Side::Lower).ok()?;
         let mut x = faer::Mat::from_fn(n, 1, |row, _| -matrix.gradient[row]);
         factor.solve_in_place(&mut x);
         let x: Vec<f64> = (0..n).map(|row| x[(row, 0)]).collect();
         x.iter().all(|value| value.is_finite()).then_some(x)
+    }
+
+    /// The lower half of `H + damping · diag H`, column by column.
+    fn values(&self, matrix: &NormalMatrix, damping: f64) -> Vec<f64> {
+        let mut values = Vec::with_capacity(self.row_indices.len());
+        let mut edge = 0;
+        for (vertex, diagonal) in matrix.diagonal.iter().enumerate() {
+            values.push(diagonal * (1.0 + damping));
+            let n_edges = self.column_starts[vertex + 1] - self.column_starts[vertex] - 1;
+            values.extend_from_slice(&matrix.off_diagonal[edge..edge + n_edges]);
+            edge += n_edges;
+        }
+        values
+    }
+
+    fn shape(&self) -> SymbolicSparseColMatRef<'_, usize> {
+        let n = self.column_starts.len() - 1;
+        SymbolicSparseColMatRef::new_checked(n, n, &self.column_starts, None, &self.row_indices)
     }
 }
 
