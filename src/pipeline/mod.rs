@@ -33,6 +33,7 @@ mod recorded_scan;
 mod recorder_stage;
 mod refine_stage;
 mod snapshot_meta;
+mod stop_depth;
 
 mod deliver;
 mod depth_correction;
@@ -61,6 +62,7 @@ pub use state::{Degradation, Fault, Loss, State};
 pub use status::{
     MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
 };
+pub use stop_depth::{ShadingOutcome, ShadingRefusal, ShadingRequest, StopDepthCamera};
 pub use timing::peak_memory_bytes;
 
 use crate::{
@@ -150,6 +152,8 @@ impl Pipeline {
         params: PipelineParams,
         folder: OutputFolder,
     ) -> Result<Handle, SpawnError> {
+        let (camera, shading) =
+            stop_depth::by_strategy(camera, params.capture.shading, &params.snapshot);
         let subject = subject(&params, camera.info(), &folder);
         let (commands_in, commands_out) = edges::commands();
         let watch = Watch {
@@ -161,7 +165,10 @@ impl Pipeline {
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
         let (surfaces_in, surfaces_out) = edges::surfaces();
-        let fusion = fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?;
+        let fusion = FusionSetup {
+            shading,
+            ..fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?
+        };
         let refine = refine_setup(&params, camera.info(), &watch)?;
         let device = device_setup(&params, camera, &watch);
 
@@ -327,6 +334,7 @@ fn fusion_setup(
         live: watch.live.clone(),
         surfaces,
         folder: folder.path().to_owned(),
+        shading: None,
     })
 }
 
