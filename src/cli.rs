@@ -3,7 +3,9 @@
 
 pub mod bench;
 pub mod calibrate;
+pub mod devices;
 pub mod evaluate;
+pub mod record;
 pub mod run;
 pub mod summary;
 
@@ -49,6 +51,12 @@ pub enum Command {
     /// Measure what the program has to know of a device
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+    /// List the Kinects that are plugged in
+    Devices(DevicesArgs),
+    /// Look for what keeps a Kinect from working, and say what mends it
+    Doctor(DoctorArgs),
+    /// Record a live device
+    Record(RecordArgs),
 }
 
 impl Command {
@@ -60,6 +68,9 @@ impl Command {
             Command::Bench(args) => args.json,
             Command::Evaluate(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
+            Command::Devices(args) => args.json,
+            Command::Doctor(args) => args.json,
+            Command::Record(args) => args.json,
             Command::Simulate(_) | Command::Demo(_) => false,
         }
     }
@@ -265,6 +276,81 @@ pub struct EvaluateArgs {
     /// Print one JSON object on standard output
     #[arg(long)]
     pub json: bool,
+}
+
+/// `relief devices`.
+#[derive(Debug, Args)]
+pub struct DevicesArgs {
+    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
+    #[arg(long, value_name = "DIR", default_value = "/")]
+    pub root: PathBuf,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `relief doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArgs {
+    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
+    #[arg(long, value_name = "DIR", default_value = "/")]
+    pub root: PathBuf,
+    /// Folder that scans and recordings go to
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub data: PathBuf,
+    /// Configuration, beside which calibrations are looked for
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Print the udev rules that let a Kinect be used, and nothing else
+    #[arg(long)]
+    pub print_rules: bool,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `relief record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Serial number of the device, as `relief devices` lists it
+    #[arg(long, value_name = "SERIAL")]
+    pub device: String,
+    /// Folder for the recording, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Record what the device sends, nothing decoded: disparity of a Kinect I, packets of a Kinect II (90 MB/s)
+    #[arg(long)]
+    pub raw: bool,
+    /// End after so many seconds; else at SIGINT or SIGTERM
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A duration that makes sense.
+fn seconds(text: &str) -> anyhow::Result<f64> {
+    let secs: f64 = text
+        .parse()
+        .with_context(|| format!("\"{text}\" is no number"))?;
+    ensure!(
+        (0.1..=1e6).contains(&secs),
+        "{secs} s, must be 0.1 to 1000000"
+    );
+    Ok(secs)
 }
 
 /// A number of folds.

@@ -5,7 +5,7 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command, bench, calibrate, evaluate,
+    Cli, Command, bench, calibrate, devices, evaluate, record,
     run::{self, Verdict},
     summary,
 };
@@ -33,6 +33,9 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::bench(args),
         Command::Evaluate(args) => evaluate::evaluate(args),
         Command::Calibrate(command) => calibrate::calibrate(command),
+        Command::Devices(args) => devices::devices(args),
+        Command::Doctor(args) => devices::doctor(args),
+        Command::Record(args) => record::record(args),
     };
     let verdict = ran.unwrap_or_else(|error| {
         if prints_json {

@@ -6,11 +6,12 @@ use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
     control::{self, EXIT_INTERRUPTED, Progress},
+    devices::open_recording,
     pipeline::{
         Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
     },
 };
-use replay::{Pacing, ReplayCamera, SessionWriter};
+use replay::{Pacing, SessionWriter};
 use simulated::SimulatedCamera;
 use std::{
     num::NonZeroUsize,
@@ -65,16 +66,14 @@ impl From<Verdict> for ExitCode {
 /// `relief replay`.
 pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
-    let camera = ReplayCamera::open(&args.session)?.with_pacing(match args.realtime {
+    let pacing = match args.realtime {
         true => Pacing::Recorded,
         false => Pacing::AsFastAsPossible,
-    });
-    let params = pipeline_params(args, config, &camera)?;
+    };
+    let camera = open_recording(&args.session, &config.devices, pacing)?;
+    let params = pipeline_params(args, config, camera.info())?;
     let folder = OutputFolder::claim(&args.out)?;
-    let outcome = control::operate(
-        || Pipeline::spawn(Box::new(camera), params, folder),
-        progress,
-    )?;
+    let outcome = control::operate(|| Pipeline::spawn(camera, params, folder), progress)?;
     say(&outcome, args.json)
 }
 
@@ -151,7 +150,7 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
 fn pipeline_params(
     args: &ReplayArgs,
     config: Config,
-    camera: &ReplayCamera,
+    info: &CameraInfo,
 ) -> anyhow::Result<PipelineParams> {
     let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
     let places = CalibrationPlaces {
@@ -159,7 +158,7 @@ fn pipeline_params(
         folder: &folder,
         session: Some(&args.session),
     };
-    let found = config::find_calibration(camera.info(), &places)?;
+    let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
     Ok(PipelineParams {
         session: session_name(&args.session),
@@ -169,7 +168,7 @@ fn pipeline_params(
         snapshot: config.snapshot,
         object: config.object,
         refine: (!args.no_refine).then_some(config.refine),
-        warnings: calibration_warnings(&found, camera.info()),
+        warnings: calibration_warnings(&found, info),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),

@@ -26,11 +26,13 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
+    ("devices", &[]),
     ("evaluate", &["geometry", "shading"]),
     (
         "config",
         &[
             "capture",
+            "devices",
             "multipath",
             "fusion",
             "snapshot",

@@ -9,7 +9,11 @@ mod bad_input;
 mod bench;
 mod calibrate;
 mod delivery;
+mod devices;
 mod live;
+#[cfg(feature = "kinect1")]
+mod live_devices;
+mod raw_packets;
 mod signals;
 
 mod support;

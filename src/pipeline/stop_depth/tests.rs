@@ -45,7 +45,7 @@ impl Scripted {
 
 fn image(light: Light) -> Image<u16> {
     let value = |u: usize, v: usize| match light {
-        Light::Projector if u % 4 == 0 && v % 4 == 0 => 800,
+        Light::Projector if u.is_multiple_of(4) && v.is_multiple_of(4) => 800,
         Light::Projector => 10,
         Light::Nothing => ((u * 5 + v * 3) % 7) as u16,
         Light::Lamp => (200 + 5 * u + 3 * v) as u16,
