@@ -14,17 +14,20 @@ mod calibration;
 mod calibration_file;
 mod calibration_key;
 mod calibration_merge;
+mod device_params;
 
 pub use calibration::{CalibrationPlaces, CalibrationSource, FoundCalibration, find_calibration};
 pub use calibration_file::{DeviceCalibration, MeasuredLight};
 pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
+pub use device_params::params_for_device;
 pub use layer_places::LayerPlaces;
 pub use layers::LayeredConfig;
 pub use origin::Origin;
 
 use crate::{
     capture::CaptureParams,
+    devices::DeviceParams,
     fusion::FusionParams,
     jobs::WorkerParams,
     multipath::MultipathParams,
@@ -59,6 +62,8 @@ impl ConfigError {
 pub struct Config {
     /// The device thread and the recorder.
     pub capture: CaptureParams,
+    /// Live devices.
+    pub devices: DeviceParams,
     /// Multipath of a Kinect II.
     pub multipath: MultipathParams,
     /// Tracking and fusion.
@@ -109,6 +114,7 @@ impl Config {
     /// Names the key, its value and the bound.
     pub fn validate(&self) -> Result<(), String> {
         self.capture.validate()?;
+        self.devices.validate()?;
         self.fusion.validate()?;
         self.snapshot.validate()?;
         self.object.validate()?;

@@ -5,11 +5,11 @@ mod cli;
 
 use clap::Parser;
 use cli::{
-    Cli, Command, bench, calibrate, config, daemon, evaluate,
+    Cli, Command, bench, calibrate, config, daemon, devices, evaluate,
     logging::log_to_stderr,
-    package,
+    package, record,
     run::{self, Verdict},
-    summary,
+    session, summary,
 };
 use relief::control::Progress;
 use std::process::ExitCode;
@@ -29,6 +29,10 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::bench(args),
         Command::Evaluate(args) => evaluate::evaluate(args),
         Command::Calibrate(command) => calibrate::calibrate(command),
+        Command::Session(command) => session::session(command),
+        Command::Devices(args) => devices::devices(args),
+        Command::Doctor(args) => devices::doctor(args),
+        Command::Record(args) => record::record(args),
         Command::Config(command) => config::config(command),
         Command::Completions(args) => package::completions(args),
         Command::Man(args) => package::man(args),

@@ -29,6 +29,20 @@ pub struct CaptureParams {
     pub reconnect_secs: f64,
     /// Depth of a recording is stored in steps of 1 / this many metres.
     pub record_depth_units_per_metre: f64,
+    /// Kinect I: how the projector's speckle is kept out of shading images.
+    pub shading: ShadingStrategy,
+}
+
+/// How a Kinect I comes by IR images without its projector's speckle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ShadingStrategy {
+    /// The operator covers the projector.
+    #[default]
+    Shutter,
+    /// The program stops depth, which is said to switch the projector off on some devices; images that show speckle all the same
+    /// are refused.
+    StopDepth,
 }
 
 impl Default for CaptureParams {
@@ -38,6 +52,7 @@ impl Default for CaptureParams {
             max_silence_secs: 10.0,
             reconnect_secs: 600.0,
             record_depth_units_per_metre: 5000.0,
+            shading: ShadingStrategy::default(),
         }
     }
 }

@@ -2,15 +2,16 @@
 
 use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, summary};
 use anyhow::{Context, bail};
-use depth_camera::{DepthCamera, Sensor};
+use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
     control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
+    devices::open_recording,
     pipeline::{
         Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
     },
 };
-use replay::{Pacing, ReplayCamera, SessionWriter};
+use replay::{Pacing, SessionWriter};
 use simulated::SimulatedCamera;
 use std::{
     num::NonZeroUsize,
@@ -78,16 +79,14 @@ impl From<Verdict> for ExitCode {
 /// `relief replay`.
 pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
-    let camera = ReplayCamera::open(&args.session)?.with_pacing(match args.realtime {
+    let pacing = match args.realtime {
         true => Pacing::Recorded,
         false => Pacing::AsFastAsPossible,
-    });
-    let params = pipeline_params(args, config, &camera)?;
+    };
+    let camera = open_recording(&args.session, &config.devices, pacing)?;
+    let params = pipeline_params(args, config, camera.info())?;
     let folder = OutputFolder::claim(&args.out)?;
-    let outcome = control::operate(
-        || Pipeline::spawn(Box::new(camera), params, folder),
-        progress,
-    )?;
+    let outcome = control::operate(|| Pipeline::spawn(camera, params, folder), progress)?;
     say(&outcome, args.json)
 }
 
@@ -176,15 +175,15 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
 fn pipeline_params(
     args: &ReplayArgs,
     config: Config,
-    camera: &ReplayCamera,
+    info: &CameraInfo,
 ) -> anyhow::Result<PipelineParams> {
     let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
     let places = CalibrationPlaces {
         given: args.calibration.as_deref(),
         folder: &folder,
-        session: Some(&args.session),
+        session: Some(session_folder(&args.session)),
     };
-    let found = config::find_calibration(camera.info(), &places)?;
+    let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
     Ok(PipelineParams {
         session: session_name(&args.session),
@@ -194,7 +193,7 @@ fn pipeline_params(
         snapshot: config.snapshot,
         object: config.object,
         refine: (!args.no_refine).then_some(config.refine),
-        warnings: found.announce(camera.info()),
+        warnings: found.announce(info),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
@@ -287,6 +286,14 @@ pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBu
         (Some(given), _) => given.to_owned(),
         (None, Some(folder)) => folder.join("calibration"),
         (None, None) => PathBuf::from("calibration"),
+    }
+}
+
+/// The folder that a session lies in: its own, or that of its file.
+pub fn session_folder(session: &Path) -> &Path {
+    match (session.is_file(), session.parent()) {
+        (true, Some(folder)) => folder,
+        _ => session,
     }
 }
 

@@ -71,6 +71,7 @@ impl Scene {
             driver: None,
             intrinsics: *distorted_camera().intrinsics(),
             ir_full_scale: Some(65535.0),
+            ir_gain: None,
             light: Some(Light {
                 position_m: [0.05, 0.0, 0.0],
                 kind: LightKind::Emitter,

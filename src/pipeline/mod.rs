@@ -33,6 +33,7 @@ mod recorded_scan;
 mod recorder_stage;
 mod refine_stage;
 mod snapshot_meta;
+mod stop_depth;
 
 mod deliver;
 mod depth_correction;
@@ -64,6 +65,7 @@ pub use state::{Degradation, Fault, Loss, State};
 pub use status::{
     MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
 };
+pub use stop_depth::{ShadingOutcome, ShadingRefusal, ShadingRequest, StopDepthCamera};
 pub use timing::{peak_memory_bytes, resident_memory_bytes};
 
 use crate::{
@@ -83,7 +85,9 @@ use edges::DropCounts;
 use fusion_stage::FusionSetup;
 use handle::Threads;
 use live::surface::{self, SurfaceUpdate};
+use mcap_session::RecordingError;
 use rayon::ThreadPoolBuildError;
+use recorder_stage::Telling;
 use refine_stage::RefineSetup;
 use report::Subject;
 use std::{io, num::NonZeroUsize, sync::Arc};
@@ -128,7 +132,7 @@ pub struct PipelineParams {
 pub enum SpawnError {
     /// The recorder cannot write.
     #[error("cannot record: {0}")]
-    Recorder(#[from] replay::WriteError),
+    Recorder(#[from] RecordingError),
     /// The calibration cannot be recorded.
     #[error("cannot record the calibration: {0}")]
     Calibration(String),
@@ -153,6 +157,8 @@ impl Pipeline {
         params: PipelineParams,
         folder: OutputFolder,
     ) -> Result<Handle, SpawnError> {
+        let (camera, shading) =
+            stop_depth::by_strategy(camera, params.capture.shading, &params.snapshot);
         let subject = subject(&params, camera.info(), &folder);
         let (commands_in, commands_out) = edges::commands();
         let watch = Watch {
@@ -167,7 +173,10 @@ impl Pipeline {
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
         let (surfaces_in, surfaces_out) = edges::surfaces();
-        let fusion = fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?;
+        let fusion = FusionSetup {
+            shading,
+            ..fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?
+        };
         let refine = refine_setup(&params, camera.info(), &watch)?;
         let device = device_setup(&params, camera, &watch);
 
@@ -178,7 +187,11 @@ impl Pipeline {
         let events_in = tracked_in.clone();
         let live = watch.live.clone();
         let (status, status_of_sewing) = (&watch.status, watch.status.clone());
-        let status_of_recorder = watch.status.clone();
+        let telling = Telling {
+            status: watch.status.clone(),
+            events: watch.events.clone(),
+            drops: drops.clone(),
+        };
 
         let threads = Threads {
             device: Some(spawn("device", status, move || {
@@ -193,7 +206,7 @@ impl Pipeline {
                     recording_out,
                     tracked_out,
                     &outbox_of_recorder,
-                    &status_of_recorder,
+                    &telling,
                 )
             })?),
             sewing: Some(spawn("sewing", status, move || {
@@ -281,7 +294,7 @@ fn recorder(
     info: &CameraInfo,
     folder: &OutputFolder,
 ) -> Result<Recorder, SpawnError> {
-    let recorder = Recorder::new(folder.path())?;
+    let recorder = Recorder::new(folder.path()).map_err(RecordingError::from)?;
     if !params.record {
         return Ok(recorder);
     }
@@ -290,8 +303,10 @@ fn recorder(
         .calibration
         .to_toml()
         .map_err(SpawnError::Calibration)?;
-    let recorder = recorder.with_frames(info, params.capture.record_depth_units_per_metre)?;
-    Ok(recorder.with_text(Calibration::FILE_NAME, &calibration)?)
+    let recorder = recorder.with_frames(info, &params.capture)?;
+    Ok(recorder
+        .with_text(Calibration::FILE_NAME, &calibration)
+        .map_err(RecordingError::from)?)
 }
 
 fn device_setup(
@@ -333,6 +348,7 @@ fn fusion_setup(
         live: watch.live.clone(),
         surfaces,
         folder: folder.path().to_owned(),
+        shading: None,
     })
 }
 

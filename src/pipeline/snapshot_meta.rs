@@ -18,6 +18,9 @@ pub struct SnapshotMeta {
     serial: String,
     driver: Option<String>,
     ir_full_scale: Option<f64>,
+    /// The device's gain when it was taken, as read back.
+    #[serde(default)]
+    ir_gain: Option<u16>,
     light_position_camera_m: Option<[f64; 3]>,
     intrinsics: StoredIntrinsics,
 }
@@ -49,6 +52,7 @@ impl SnapshotMeta {
             serial: info.serial.clone(),
             driver: info.driver.clone(),
             ir_full_scale: info.ir_full_scale,
+            ir_gain: info.ir_gain,
             light_position_camera_m: info.light.map(|light| light.position_m),
             intrinsics: StoredIntrinsics {
                 width: i.width,
@@ -104,6 +108,7 @@ impl SnapshotMeta {
                 k3: i.k3,
             },
             ir_full_scale: self.ir_full_scale,
+            ir_gain: self.ir_gain,
             light: self.light_position_camera_m.map(light),
             n_frames: None,
         })

@@ -88,6 +88,9 @@ impl Calibration {
     /// As for [`Self::shipped`].
     pub fn shipped_for(info: &CameraInfo) -> Result<Self, String> {
         match (info.sensor, info.driver.as_deref()) {
+            (Sensor::Kinect1, Some("libfreenect")) => Self::from_toml(include_str!(
+                "../../config/calibration-kinect1-libfreenect.toml"
+            )),
             (Sensor::Kinect2, Some("libfreenect2")) => Self::from_toml(include_str!(
                 "../../config/calibration-kinect2-libfreenect2.toml"
             )),

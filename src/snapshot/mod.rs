@@ -36,6 +36,7 @@ pub use guide::Guidance;
 pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
 pub use rejection::{RejectReason, Rejection};
+pub use speckle::{Texture, texture};
 
 use crate::fusion::{ModelMap, TrackingOutcome};
 use crate::geometry::Pose;

@@ -30,6 +30,7 @@ pub(super) fn camera_info(sensor: Sensor) -> CameraInfo {
             k3: 0.0,
         },
         ir_full_scale: Some(full_scale),
+        ir_gain: None,
         light: Some(Light { position_m, kind }),
         n_frames: None,
     }

@@ -14,27 +14,32 @@ const MIN_LIT_SHARE: f64 = 0.03;
 
 /// How bright and how grainy an image is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Texture {
+pub struct Texture {
     /// Share of the tiles that are lit.
-    pub(super) lit_share: f64,
+    pub lit_share: f64,
     /// Median over the lit tiles of the pixel-to-pixel deviation that smooth shading does not have, as a share of the
     /// tile's mean: the noise-to-signal ratio of a smooth image, several times that for bright isolated dots. 0 where
     /// nothing is lit.
-    pub(super) speckle_energy: f64,
+    pub speckle_energy: f64,
 }
 
 impl Texture {
-    pub(super) fn is_dark(&self) -> bool {
+    /// From this speckle energy on an image shows the projector.
+    pub const SPECKLE_LIMIT: f64 = SPECKLED;
+
+    /// Whether nothing but noise is there.
+    pub fn is_dark(&self) -> bool {
         self.lit_share < MIN_LIT_SHARE
     }
 
-    pub(super) fn is_speckled(&self) -> bool {
+    /// Whether the projector shows.
+    pub fn is_speckled(&self) -> bool {
         !self.is_dark() && self.speckle_energy >= SPECKLED
     }
 }
 
 /// Measures an image whose counts end at `full_scale`.
-pub(super) fn texture(counts: &Image<u16>, full_scale: f64) -> Texture {
+pub fn texture(counts: &Image<u16>, full_scale: f64) -> Texture {
     let (columns, rows) = (
         counts.width().saturating_sub(2) / TILE,
         counts.height().saturating_sub(2) / TILE,

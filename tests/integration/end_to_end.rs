@@ -20,7 +20,7 @@ use std::{fs, num::NonZeroUsize, path::Path, time::Duration};
 const N_FRAMES: usize = 12;
 
 /// The simulated camera sees no multipath; that of its shifted images would differ at the border.
-fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
+pub fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
     PipelineParams {
         session: "plaque".to_owned(),
         capture: CaptureParams::default(),

@@ -26,12 +26,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
+    ("devices", &[]),
     ("evaluate", &["geometry", "shading"]),
     ("jobs", &["atomic_file", "pipeline"]),
     (
         "config",
         &[
             "capture",
+            "devices",
             "multipath",
             "fusion",
             "snapshot",

@@ -9,8 +9,13 @@ mod bad_input;
 mod bench;
 mod calibrate;
 mod delivery;
+mod devices;
 mod live;
+#[cfg(feature = "kinect1")]
+mod live_devices;
+mod raw_packets;
 mod service;
+mod sessions;
 mod signals;
 mod worker;
 

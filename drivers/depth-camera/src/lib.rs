@@ -112,6 +112,8 @@ pub struct CameraInfo {
     pub intrinsics: Intrinsics,
     /// IR counts at full scale; `None` if the camera delivers no IR.
     pub ir_full_scale: Option<f64>,
+    /// Gain of the IR image as the device reported it, where it has one (Kinect I: 1 to 50); counts scale with it.
+    pub ir_gain: Option<u16>,
     /// The light of the shading images; `None` if the camera delivers no IR.
     pub light: Option<Light>,
     /// How many frames will come, where that is known beforehand.
@@ -133,6 +135,13 @@ pub struct Frame {
     pub ir: Option<Image<u16>>,
 }
 
+/// Device time in whole microseconds, seconds.
+///
+/// That is what lists of recordings keep: a time that has passed through here is the same when it is read again.
+pub fn whole_microseconds(secs: f64) -> f64 {
+    (secs * 1e6).round() / 1e6
+}
+
 /// A source of depth and IR frames: a device, a recording, or a simulation.
 ///
 /// A camera is driven by one thread. After an error that [`CameraError::is_recoverable`] the next call may succeed.
@@ -146,4 +155,23 @@ pub trait DepthCamera: Send {
     /// [`CameraError::Timeout`] when no frame came in time, [`CameraError::DamagedFrame`] for one frame that cannot be
     /// used (the stream goes on), and the other kinds when the stream is over.
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError>;
+
+    /// Stops depth while IR goes on: frames carry IR alone from then on. Of a Kinect I it is said that its projector goes dark;
+    /// only the IR image can tell.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] from a camera that cannot, and what a device says that does not obey.
+    fn pause_depth(&mut self) -> Result<(), CameraError> {
+        Err(CameraError::Invalid(
+            "this camera cannot stop depth while IR goes on".to_owned(),
+        ))
+    }
+
+    /// Starts depth again after [`DepthCamera::pause_depth`].
+    ///
+    /// # Errors
+    /// As [`DepthCamera::pause_depth`].
+    fn resume_depth(&mut self) -> Result<(), CameraError> {
+        Ok(())
+    }
 }

@@ -4,7 +4,7 @@
 
 use std::time::{Duration, Instant};
 
-use depth_camera::{Image, ImagePool};
+use depth_camera::{Image, ImagePool, whole_microseconds};
 
 use crate::{
     clock::DeviceClock,
@@ -21,7 +21,7 @@ const POOL_CAPACITY: usize = 16;
 pub struct RawFrame {
     /// Counts moments from the start; gaps are moments of which depth was lost.
     pub frame_id: u64,
-    /// The device's own clock, seconds.
+    /// The device's own clock, seconds, in whole microseconds.
     pub device_time_secs: f64,
     /// When the first of its images had arrived, on this machine's monotonic clock.
     pub host_time: Instant,
@@ -327,7 +327,7 @@ impl Assembler {
         };
         emit(Captured::Frame(RawFrame {
             frame_id,
-            device_time_secs,
+            device_time_secs: whole_microseconds(device_time_secs),
             host_time,
             disparity: depth.map(|depth| depth.image),
             ir: ir.filter(|ir| ir.damage.is_none()).map(|ir| ir.image),

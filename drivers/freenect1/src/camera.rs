@@ -9,61 +9,29 @@ use std::{
 };
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, bounded};
-use depth_camera::{
-    CameraError, CameraInfo, DepthCamera, Frame, ImagePool, Intrinsics, Light, LightKind, Sensor,
-};
+use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame};
 
 use crate::{
     assembly::{Assembler, Captured, RawFrame},
     context::Context,
     control::{Control, LOOK_INTERVAL, check_ir_gain, ended},
-    device_thread::{Command, DeviceThread, Event, Identity, Outlet, Shared},
-    disparity::{DisparityTable, ZeroPlane},
-    streams::{DEPTH_SIZE, IrSize, Streams},
+    device_thread::{Command, DeviceThread, Event, Outlet, Shared},
+    disparity::ZeroPlane,
+    frames::{DeviceRecord, FrameDecoder},
+    settings::Settings,
+    streams::Streams,
 };
-
-/// How far right of and below its place in the depth image a point lies in the IR image, pixels, where the device has not been
-/// calibrated: what the correlation window of 9×7 pixels does. Units differ; calibration's `ir_offset_px` is the measured value.
-pub const NOMINAL_IR_OFFSET_PX: [f64; 2] = [5.0, 4.0];
-
-/// Principal point of the IR image where the device has not been calibrated, pixels.
-const NOMINAL_IR_CENTRE_PX: [f64; 2] = [319.5, 239.5];
 
 /// Frames that wait to be fetched; older ones make room for newer ones.
 const EVENT_CAPACITY: usize = 4;
 
 const COMMAND_CAPACITY: usize = 4;
 
-/// Depth images on their way through the pipeline whose buffers are used again.
-const POOL_CAPACITY: usize = 16;
-
 /// A device of the later models resets its audio part when it is opened, which takes a second.
 const OPEN_LIMIT: Duration = Duration::from_secs(10);
 
 /// How long closing may take before the thread is left to itself.
 const CLOSE_LIMIT: Duration = Duration::from_secs(3);
-
-/// What is decided before the device is opened.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
-    /// What to deliver at first.
-    pub streams: Streams,
-    /// Gain of the IR image, 1 to 50. Light strength and albedo scale with it: keep it for a whole scan.
-    pub ir_gain: u16,
-    /// Where the lamp of the shading images is, IR camera's frame, metres; `None` if there is none.
-    pub lamp_position_m: Option<[f64; 3]>,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Settings {
-            streams: Streams::default(),
-            // What the device starts with.
-            ir_gain: 30,
-            lamp_position_m: None,
-        }
-    }
-}
 
 /// Serial numbers of the devices that are plugged in and may be opened, in no particular order.
 ///
@@ -89,9 +57,8 @@ pub fn attached() -> Result<Vec<String>, CameraError> {
 #[derive(Debug)]
 pub struct Freenect1Camera {
     info: CameraInfo,
-    zero_plane: ZeroPlane,
-    table: DisparityTable,
-    metres: ImagePool<f32>,
+    device: DeviceRecord,
+    decoder: FrameDecoder,
     events: Receiver<Event>,
     control: Control,
     /// Nothing is ever sent; it closes when the thread ends.
@@ -142,11 +109,17 @@ impl Freenect1Camera {
             Ok(opened) => opened?,
             Err(_) => return Err(control.stuck().unwrap_or_else(ended)),
         };
-        Ok(Freenect1Camera {
-            table: DisparityTable::new(&identity.zero_plane)?,
+        let device = DeviceRecord {
+            serial: identity.serial,
             zero_plane: identity.zero_plane,
-            info: describe(identity, &settings),
-            metres: ImagePool::new(POOL_CAPACITY),
+            ir_gain: control.ir_gain(),
+            ir_offset_px: settings.ir_offset_px,
+            lamp_position_m: settings.lamp_position_m,
+        };
+        Ok(Freenect1Camera {
+            decoder: FrameDecoder::new(&device.zero_plane)?,
+            info: device.camera_info(None),
+            device,
             events,
             control,
             thread_lives,
@@ -159,9 +132,14 @@ impl Freenect1Camera {
         self.control.clone()
     }
 
+    /// What the device says of itself, for a recording of its disparity.
+    pub fn device(&self) -> &DeviceRecord {
+        &self.device
+    }
+
     /// The constants by which the device turns disparity into depth.
     pub fn zero_plane(&self) -> &ZeroPlane {
-        &self.zero_plane
+        &self.device.zero_plane
     }
 
     /// As [`DepthCamera::grab`], with nothing decoded: disparity, and all rows of the IR image.
@@ -198,28 +176,9 @@ impl Freenect1Camera {
         }
     }
 
-    fn decode(&self, raw: RawFrame) -> Frame {
-        let depth = raw.disparity.map(|disparity| {
-            let (width, height) = (disparity.width(), disparity.height());
-            let mut metres = self.metres.take(width * height);
-            self.table.convert(&disparity, &mut metres);
-            self.metres.image(width, height, metres)
-        });
-        // Row 0 is the depth image's; what is more lies at the bottom.
-        let (_, depth_rows) = DEPTH_SIZE;
-        let ir = raw
-            .ir
-            .map(|ir| match ir.width() == IrSize::Medium.pixels().0 {
-                true => ir.top_rows(depth_rows),
-                false => ir,
-            });
-        Frame {
-            frame_id: raw.frame_id,
-            device_time_secs: raw.device_time_secs,
-            host_time: raw.host_time,
-            depth,
-            ir,
-        }
+    /// The frame that [`DepthCamera::grab`] makes of raw data.
+    pub fn decode(&self, raw: RawFrame) -> Frame {
+        self.decoder.frame(raw)
     }
 }
 
@@ -234,6 +193,14 @@ impl DepthCamera for Freenect1Camera {
         let raw = self.grab_raw(timeout)?;
         Ok(Some(self.decode(raw)))
     }
+
+    fn pause_depth(&mut self) -> Result<(), CameraError> {
+        self.control.set_streams(Streams::Ir)
+    }
+
+    fn resume_depth(&mut self) -> Result<(), CameraError> {
+        self.control.set_streams(Streams::DepthAndIr)
+    }
 }
 
 impl Drop for Freenect1Camera {
@@ -246,35 +213,5 @@ impl Drop for Freenect1Camera {
             // Ends when the thread does; a thread inside a call that never returns cannot be helped.
             let _ = self.thread_lives.recv_timeout(CLOSE_LIMIT);
         }
-    }
-}
-
-/// The device with nominal lens: a focal length by its own constants, no distortion.
-fn describe(identity: Identity, settings: &Settings) -> CameraInfo {
-    let (width, height) = DEPTH_SIZE;
-    let focal_px = identity.zero_plane.focal_px();
-    CameraInfo {
-        sensor: Sensor::Kinect1,
-        serial: identity.serial,
-        driver: Some("libfreenect".to_owned()),
-        intrinsics: Intrinsics {
-            width,
-            height,
-            fx: focal_px,
-            fy: focal_px,
-            cx: NOMINAL_IR_CENTRE_PX[0] - NOMINAL_IR_OFFSET_PX[0],
-            cy: NOMINAL_IR_CENTRE_PX[1] - NOMINAL_IR_OFFSET_PX[1],
-            k1: 0.0,
-            k2: 0.0,
-            p1: 0.0,
-            p2: 0.0,
-            k3: 0.0,
-        },
-        ir_full_scale: Some(1023.0),
-        light: settings.lamp_position_m.map(|position_m| Light {
-            position_m,
-            kind: LightKind::Lamp,
-        }),
-        n_frames: None,
     }
 }

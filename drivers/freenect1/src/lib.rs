@@ -6,14 +6,17 @@
 //! of can be seen from outside; and streams are stopped in one order, always.
 //!
 //! What needs neither library nor device is in modules of its own and builds without the feature `kinect1`: [`disparity`],
-//! [`packets`], [`pairing`], [`clock`] and [`assembly`], which puts them together. The camera itself, `Freenect1Camera`,
-//! is there with the feature. Not handled: colour, sound, the motor (it is never moved) and near mode.
+//! [`packets`], [`pairing`], [`clock`] and [`assembly`], which puts them together, and recordings of disparity
+//! ([`RawDisparityWriter`], [`RawDisparityCamera`]). The camera itself, `Freenect1Camera`, is there with the feature. Not handled: colour, sound, the motor (it is never moved) and near mode.
 
 pub mod assembly;
 pub mod clock;
 pub mod disparity;
+mod frames;
 pub mod packets;
 pub mod pairing;
+mod recording;
+mod settings;
 pub mod streams;
 pub mod supervision;
 
@@ -31,6 +34,9 @@ mod device;
 mod device_thread;
 
 #[cfg(feature = "kinect1")]
-pub use camera::{Freenect1Camera, NOMINAL_IR_OFFSET_PX, Settings, attached};
+pub use camera::{Freenect1Camera, attached};
 #[cfg(feature = "kinect1")]
 pub use control::Control;
+pub use frames::{DeviceRecord, NOMINAL_IR_OFFSET_PX};
+pub use recording::{RAW_DEVICE_FILE, RawDisparityCamera, RawDisparityWriter};
+pub use settings::Settings;

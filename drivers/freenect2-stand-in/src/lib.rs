@@ -10,11 +10,14 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
+use freenect2::Library;
 use freenect2_sys::{
     F2SHIM_FAILED, F2SHIM_NOT_FOUND, F2SHIM_OK, F2SHIM_TOO_SMALL, F2SHIM_WRONG_STATE, f2shim_api,
     f2shim_context, f2shim_device, f2shim_ir_parameters, f2shim_packet, f2shim_packet_callback,
     f2shim_status,
 };
+
+pub use freenect2_sys::f2shim_ir_parameters as AnsweredCamera;
 
 /// What a unit answers when it is asked.
 #[derive(Clone, Debug)]
@@ -142,6 +145,12 @@ impl Unit {
         let mut bus = bus();
         body(bus.get_mut(&self.serial).expect("a unit stays on the bus"))
     }
+}
+
+/// The stand-in, as a camera takes it.
+pub fn library() -> Library {
+    // SAFETY: the table is whole and keeps to the header.
+    unsafe { Library::from_table(table()) }
 }
 
 /// The stand-in's table.

@@ -92,6 +92,7 @@ pub(crate) fn camera_info(
         driver: Some("libfreenect2".to_owned()),
         intrinsics: camera.intrinsics(true),
         ir_full_scale: Some(f64::from(u16::MAX)),
+        ir_gain: None,
         light: Some(Light {
             position_m: [-EMITTER_OFFSET_M, 0.0, 0.0],
             kind: LightKind::Emitter,

@@ -23,7 +23,9 @@ use crate::{
     packet::RawPacket,
 };
 
-const DEVICE_FILE: &str = "ir_parameters.toml";
+/// The description of the device in a recording's folder.
+pub const RAW_DEVICE_FILE: &str = "ir_parameters.toml";
+
 const TABLES_FILE: &str = "p0.bin";
 const LIST_FILE: &str = "packets.txt";
 const PACKET_FOLDER: &str = "packets";
@@ -53,7 +55,7 @@ struct DeviceFile {
 impl DeviceRecord {
     /// Reads the device's part of a recording.
     fn read(folder: &Path) -> Result<Self, CameraError> {
-        let device_path = folder.join(DEVICE_FILE);
+        let device_path = folder.join(RAW_DEVICE_FILE);
         let text =
             fs::read_to_string(&device_path).map_err(|error| invalid(&device_path, error))?;
         let device: DeviceFile = toml::from_str(&text)
@@ -181,7 +183,7 @@ impl RawPacketWriter {
     /// # Errors
     /// [`WriteError::NotEmpty`], [`WriteError::Io`], or [`WriteError::Camera`] for a device that could not be decoded.
     pub fn create(folder: &Path, device: &DeviceRecord) -> Result<Self, WriteError> {
-        let device_path = folder.join(DEVICE_FILE);
+        let device_path = folder.join(RAW_DEVICE_FILE);
         let invalid = |path: &Path, what: &dyn std::fmt::Display| {
             WriteError::Camera(invalid(path, what.to_string()))
         };
@@ -224,8 +226,8 @@ impl RawPacketWriter {
         device_time_secs: f64,
     ) -> Result<(), WriteError> {
         let n = self.n_packets;
-        // The list keeps microseconds.
-        let after = |last_secs: f64| device_time_secs - last_secs >= 1e-6;
+        // The list keeps microseconds; half of one is for the rounding of a difference.
+        let after = |last_secs: f64| device_time_secs - last_secs > 0.5e-6;
         if !device_time_secs.is_finite() || !self.last_time_secs.is_none_or(after) {
             return Err(WriteError::Frame {
                 frame_id: n as u64,

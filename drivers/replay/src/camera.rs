@@ -50,7 +50,7 @@ impl ReplayCamera {
             true => lists::read_list(&ir_path)?,
             false => Vec::new(),
         };
-        let moments = lists::merge(depth, ir);
+        let moments = lists::merge_lists(depth, ir);
         info.n_frames = Some(moments.len());
         Ok(ReplayCamera {
             folder: folder.to_owned(),

@@ -26,10 +26,13 @@ pub struct Entry {
 
 /// The images of one moment; at least one is there.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Moment {
-    pub(crate) time_secs: f64,
-    pub(crate) depth: Option<String>,
-    pub(crate) ir: Option<String>,
+pub struct Moment {
+    /// The device's clock, seconds.
+    pub time_secs: f64,
+    /// The depth image's file, as its list names it.
+    pub depth: Option<String>,
+    /// The IR image's file, likewise.
+    pub ir: Option<String>,
 }
 
 /// Reads a list; times increase strictly.
@@ -51,7 +54,7 @@ pub fn read_list(path: &Path) -> Result<Vec<Entry>, CameraError> {
 }
 
 /// Joins the two lists by time, in order; a moment of both carries the depth's time.
-pub(crate) fn merge(depth: Vec<Entry>, ir: Vec<Entry>) -> Vec<Moment> {
+pub fn merge_lists(depth: Vec<Entry>, ir: Vec<Entry>) -> Vec<Moment> {
     let mut moments = Vec::with_capacity(depth.len().max(ir.len()));
     let mut depth = depth.into_iter().peekable();
     let mut ir = ir.into_iter().peekable();
@@ -149,7 +152,7 @@ mod tests {
     fn images_within_ten_milliseconds_share_a_moment() {
         let depth = entries(&[100.0, 100.033, 100.067], "depth");
         let ir = entries(&[99.9, 100.043, 100.2], "ir");
-        let moments = merge(depth, ir);
+        let moments = merge_lists(depth, ir);
         let found: Vec<_> = moments
             .iter()
             .map(|m| (m.time_secs, m.depth.is_some(), m.ir.is_some()))

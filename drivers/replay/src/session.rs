@@ -26,6 +26,8 @@ pub(crate) struct SessionFile {
     pub(crate) depth_units_per_metre: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     ir_full_scale: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ir_gain: Option<u16>,
     ir_camera: IrCamera,
     #[serde(skip_serializing_if = "Option::is_none")]
     light: Option<LightEntry>,
@@ -71,6 +73,7 @@ impl SessionFile {
             driver: info.driver.clone(),
             depth_units_per_metre,
             ir_full_scale: info.ir_full_scale,
+            ir_gain: info.ir_gain,
             ir_camera: IrCamera {
                 width: i.width,
                 height: i.height,
@@ -93,7 +96,8 @@ impl SessionFile {
 
     /// The camera that this file describes, every value checked; `path` is named in errors.
     ///
-    /// `with_ir` says whether there is an IR list: its images are of no use without their scale and their light.
+    /// `with_ir` says whether there is an IR list: its images are of no use without their scale, and those of a sensor that
+    /// lights them itself not without its light.
     pub(crate) fn camera_info(
         &self,
         path: &Path,
@@ -109,6 +113,7 @@ impl SessionFile {
             driver: self.driver.clone(),
             intrinsics: self.ir_camera.intrinsics(),
             ir_full_scale: self.ir_full_scale.filter(|_| with_ir),
+            ir_gain: self.ir_gain.filter(|_| with_ir),
             light: light.filter(|_| with_ir),
             n_frames: None,
         })
@@ -129,7 +134,9 @@ impl SessionFile {
                 "ir_full_scale is missing, must be given where there is an ir.txt".to_owned(),
             );
         }
-        if with_ir && self.light.is_none() {
+        // A Kinect I may have no lamp, or one that nobody has measured: then its IR gives no shading images.
+        let is_lit_by_itself = self.sensor != Sensor::Kinect1.name();
+        if with_ir && self.light.is_none() && is_lit_by_itself {
             return Err("[light] is missing, must be given where there is an ir.txt".to_owned());
         }
         Ok(())

@@ -9,8 +9,11 @@ use std::{
 use depth_camera::Image;
 use png::{BitDepth, ColorType, Compression, Decoder, Encoder, EncodingError, Filter};
 
-/// Reads an image of exactly `width` × `height`; the error says what was found.
-pub(crate) fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16>, String> {
+/// Reads a 16-bit greyscale PNG of exactly `width` × `height`.
+///
+/// # Errors
+/// Says what was found instead.
+pub fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16>, String> {
     let file = fs::read(path).map_err(|error| error.to_string())?;
     let mut reader = Decoder::new(Cursor::new(file))
         .read_info()
@@ -37,14 +40,35 @@ pub(crate) fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16
     Ok(Image::from_vec(width, height, values.collect()))
 }
 
+/// How hard an image is compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PngEffort {
+    /// As small as is sensible.
+    Archive,
+    /// So fast that a live stream waits for it.
+    Live,
+}
+
 /// Writes an image as a complete PNG file to `out`.
-pub(crate) fn write(out: impl Write, image: &Image<u16>) -> Result<(), EncodingError> {
+pub(crate) fn write(
+    out: impl Write,
+    image: &Image<u16>,
+    effort: PngEffort,
+) -> Result<(), EncodingError> {
     let (width, height) = (image.width() as u32, image.height() as u32);
     let mut encoder = Encoder::new(out, width, height);
     encoder.set_color(ColorType::Grayscale);
     encoder.set_depth(BitDepth::Sixteen);
-    encoder.set_compression(Compression::Balanced);
-    encoder.set_filter(Filter::Adaptive);
+    match effort {
+        PngEffort::Archive => {
+            encoder.set_compression(Compression::Balanced);
+            encoder.set_filter(Filter::Adaptive);
+        }
+        PngEffort::Live => {
+            encoder.set_compression(Compression::Fastest);
+            encoder.set_filter(Filter::Sub);
+        }
+    }
     let bytes: Vec<u8> = image
         .data()
         .iter()

@@ -11,7 +11,7 @@ use png::EncodingError;
 use crate::{
     files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file},
     session::{self, SessionFile},
-    sixteen_bit_png,
+    sixteen_bit_png::{self, PngEffort},
 };
 
 /// A recording being written.
@@ -100,10 +100,10 @@ impl SessionWriter {
         let ir_name = format!("ir/{:05}.png", self.n_frames);
         if let Some(depth) = &frame.depth {
             let units = depth.map(|&metres| depth_units(metres, self.depth_units_per_metre));
-            write_png(&self.folder.join(&depth_name), &units)?;
+            write_png(&self.folder.join(&depth_name), &units, PngEffort::Archive)?;
         }
         if let Some(ir) = &frame.ir {
-            write_png(&self.folder.join(&ir_name), ir)?;
+            write_png(&self.folder.join(&ir_name), ir, PngEffort::Archive)?;
         }
 
         // Numbers and times are used up even if the lists are not written: a second try never meets half a first one.
@@ -186,9 +186,13 @@ fn size<T>(image: &Image<T>) -> (usize, usize) {
     (image.width(), image.height())
 }
 
-fn write_png(path: &Path, image: &Image<u16>) -> Result<(), WriteError> {
+/// Writes an image as a 16-bit greyscale PNG, there whole or not at all.
+///
+/// # Errors
+/// [`WriteError::Io`].
+pub fn write_png(path: &Path, image: &Image<u16>, effort: PngEffort) -> Result<(), WriteError> {
     write_whole_file(path, |out| {
-        sixteen_bit_png::write(out, image).map_err(|error| match error {
+        sixteen_bit_png::write(out, image, effort).map_err(|error| match error {
             EncodingError::IoError(error) => error,
             other => io::Error::other(other),
         })

@@ -115,6 +115,7 @@ impl SimulatedCamera {
             driver: None,
             intrinsics: lens,
             ir_full_scale: Some(sensor::full_scale(setup.sensor)),
+            ir_gain: None,
             light: Some(setup.infrared.light(setup.sensor)),
             n_frames: Some(moments.len()),
         };

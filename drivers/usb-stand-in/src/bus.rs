@@ -2,6 +2,7 @@
 
 use std::{
     collections::VecDeque,
+    fs::File,
     path::PathBuf,
     ptr,
     sync::{Mutex, MutexGuard, OnceLock, PoisonError},
@@ -39,6 +40,8 @@ pub(crate) struct Unit {
 /// What a `libusb_device_handle` points to.
 pub(crate) struct Handle {
     pub(crate) unit: *const Unit,
+    /// Locked while the camera is claimed.
+    pub(crate) claim: Option<File>,
 }
 
 struct Pending {

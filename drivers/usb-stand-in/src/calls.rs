@@ -169,7 +169,7 @@ unsafe extern "C" fn libusb_open(unit: *const Unit, handle: *mut *mut Handle) ->
         return ERROR_ACCESS;
     }
     kinect.trace(format_args!("open {:?}", unsafe { &*unit }.role));
-    unsafe { *handle = Box::into_raw(Box::new(Handle { unit })) };
+    unsafe { *handle = Box::into_raw(Box::new(Handle { unit, claim: None })) };
     SUCCESS
 }
 
@@ -224,14 +224,22 @@ unsafe extern "C" fn libusb_attach_kernel_driver(handle: *mut Handle, _interface
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn libusb_claim_interface(handle: *mut Handle, _interface: c_int) -> c_int {
-    match unsafe { unit_of(handle) }.kinect.has("busy") {
-        true => ERROR_BUSY,
-        false => SUCCESS,
+    let unit = unsafe { unit_of(handle) };
+    let claim = match unit.role {
+        Role::Camera => unit.kinect.claim(),
+        Role::Motor | Role::Audio => None,
+    };
+    let is_free = claim.is_some() || unit.role != Role::Camera;
+    unsafe { (*handle).claim = claim };
+    match is_free && !unit.kinect.has("busy") {
+        true => SUCCESS,
+        false => ERROR_BUSY,
     }
 }
 
 #[unsafe(no_mangle)]
-unsafe extern "C" fn libusb_release_interface(_handle: *mut Handle, _interface: c_int) -> c_int {
+unsafe extern "C" fn libusb_release_interface(handle: *mut Handle, _interface: c_int) -> c_int {
+    unsafe { (*handle).claim = None };
     SUCCESS
 }
 

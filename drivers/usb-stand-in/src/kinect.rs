@@ -10,7 +10,7 @@ use std::{
 
 use crate::{
     scenario::{Device, Folder, Model},
-    stream::{Format, Stream},
+    stream::{Format, Play, Stream},
 };
 
 /// The parts of a Kinect, each a device of its own on the bus.
@@ -35,9 +35,6 @@ const IR_RESOLUTION: u16 = 0x1a;
 /// Depth is stamped a little later than IR of the same exposure; arbitrary, but not 0.
 const DEPTH_LAG_TICKS: u32 = 12_345;
 
-/// Time that passes at each look, where a device runs as fast as it is looked at.
-const FREE_STEP: Duration = Duration::from_micros(500);
-
 /// Writes a packet into its slot and returns its length.
 pub(crate) type Packet<'a> = &'a mut dyn FnMut(&mut [u8]) -> usize;
 
@@ -61,6 +58,8 @@ struct State {
     depth: Option<Stream>,
     ir: Option<Stream>,
     ir_ticks: u32,
+    /// The frame that counts as the first, where frames are played once.
+    origin: Option<u64>,
     trace: Option<File>,
 }
 
@@ -77,6 +76,7 @@ impl State {
             depth: None,
             ir: None,
             ir_ticks: 0,
+            origin: None,
             trace,
         }
     }
@@ -124,6 +124,37 @@ impl Kinect {
         }
         state.is_plugged = is_plugged;
         is_plugged
+    }
+
+    /// The camera's interface, held for as long as the file is; `None` if another handle holds it.
+    pub(crate) fn claim(&self) -> Option<File> {
+        let file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(self.folder.claim_path());
+        file.ok().filter(|file| file.try_lock().is_ok())
+    }
+
+    /// When frames of a stream that is started at `now` begin.
+    fn play(&self, state: &mut State, now: Duration) -> Play {
+        let frame_secs = self.frame_secs();
+        let next = (now.as_secs_f64() / frame_secs).ceil() as u64;
+        if !self.device.play_once {
+            return Play {
+                frame_secs,
+                first_frame: next,
+                origin: 0,
+                ends: false,
+            };
+        }
+        // One frame later, so that what is started next begins with the same one.
+        let origin = *state.origin.get_or_insert(next + 1);
+        Play {
+            frame_secs,
+            first_frame: next.max(origin),
+            origin,
+            ends: true,
+        }
     }
 
     /// Parts that are on the bus while it is plugged in.
@@ -214,8 +245,8 @@ impl Kinect {
                 let start = now + millis(self.device.first_depth_after_ms);
                 let loss = (self.device.lose_depth_every, self.device.lose_run);
                 let values = self.folder.values("depth11.u16");
-                let stream = Stream::start(Format::DEPTH, values, self.frame_secs(), start, loss);
-                state.depth = Some(stream);
+                let play = self.play(&mut state, start);
+                state.depth = Some(Stream::start(Format::DEPTH, values, play, loss));
             }
             (DEPTH_MODE, _) => state.depth = None,
             (VIDEO_MODE, VIDEO_IS_IR) => {
@@ -227,13 +258,9 @@ impl Kinect {
                     false => (Format::IR, "ir10.u16"),
                 };
                 let values = self.folder.values(file);
-                state.ir = Some(Stream::start(
-                    format,
-                    values,
-                    self.frame_secs(),
-                    start,
-                    loss,
-                ));
+                let play = self.play(&mut state, start);
+                let alone = self.folder.values("ir10-alone.u16");
+                state.ir = Some(Stream::start(format, values, play, loss).with_others(alone));
             }
             (VIDEO_MODE, _) => state.ir = None,
             _ => {}
@@ -274,11 +301,20 @@ impl Kinect {
         }
     }
 
+    /// Whether time stands still because the next picture must not be sent yet.
+    fn is_withheld(&self, state: &State) -> bool {
+        let next = state.depth.as_ref().map(Stream::picture);
+        let limit = self.folder.number("frame-limit");
+        next.zip(limit).is_some_and(|(next, limit)| next >= limit)
+    }
+
     /// Hands every packet that has come since the last call to `deliver`, which says whether a transfer waited for it.
     pub(crate) fn advance(&self, mut deliver: impl FnMut(u8, Packet<'_>) -> bool) {
         let silent = [self.has("silent-depth"), self.has("silent-ir")];
         let mut guard = self.state();
-        guard.free_time += FREE_STEP;
+        if !self.is_withheld(&guard) {
+            guard.free_time += Duration::from_micros(self.device.free_step_us);
+        }
         let now = self.now(&guard);
         let state = &mut *guard;
         let first_ticks = self.device.first_ticks;
@@ -299,6 +335,7 @@ impl Kinect {
                 state.ir_ticks = first_ticks.wrapping_add(ir.ticks());
             }
             let ticks = state.ir_ticks;
+            ir.play_others(state.depth.is_none());
             if silent[1] {
                 ir.pass();
             } else if !deliver(VIDEO, &mut |slot| ir.packet(ticks, slot)) {

@@ -12,14 +12,20 @@
 //! | `first_depth_after_ms`, `first_ir_after_ms` | from the start of a stream to its first frame | 0 |
 //! | `lose_depth_every`, `lose_ir_every` | of so many packets the first ones are lost; 0 loses none | 0 |
 //! | `lose_run` | how many | 1 |
+//! | `free_step_us` | time that passes at each look where `frame_rate_hz` is 0: less is slower | 500 |
+//! | `play_once` | `true`: frames are played once, from the first one on, and stamps count from there | `false` |
 //! | `freeze_ir_clock` | `true`: stamps of IR stand still while depth is off | `false` |
 //!
 //! `depth11.u16` and `ir10.u16` hold frames of 640×480 and 640×488 values, little-endian, played over and over; frame n of one
-//! goes with frame n of the other. At 1280×1024 IR is `ir10-high.u16`.
+//! goes with frame n of the other. At 1280×1024 IR is `ir10-high.u16`. Where there is an `ir10-alone.u16`, its frames come in place
+//! of the others while depth is off: the projector is dark then.
+//!
+//! A program that has claimed the camera holds a lock on the file `claimed`: another one finds it busy.
 //!
 //! Files whose presence is looked at while the device is in use: `unplugged`, `denied` (opening is not permitted), `busy` (the
 //! interface is claimed by another), `no-memory` (transfers cannot be submitted), `wedged` (control transfers do not
-//! return), `silent-depth`, `silent-ir`.
+//! return), `silent-depth`, `silent-ir`. `frame-limit` holds a number: where `frame_rate_hz` is 0, time stands still before the depth
+//! frame of that number.
 
 use std::{
     fs,
@@ -54,6 +60,8 @@ pub struct Device {
     pub lose_depth_every: u64,
     pub lose_ir_every: u64,
     pub lose_run: u64,
+    pub free_step_us: u64,
+    pub play_once: bool,
     pub freeze_ir_clock: bool,
 }
 
@@ -73,6 +81,8 @@ impl Default for Device {
             lose_depth_every: 0,
             lose_ir_every: 0,
             lose_run: 1,
+            free_step_us: 500,
+            play_once: false,
             freeze_ir_clock: false,
         }
     }
@@ -117,6 +127,8 @@ impl Device {
             "lose_depth_every" => self.lose_depth_every = value.parse().ok()?,
             "lose_ir_every" => self.lose_ir_every = value.parse().ok()?,
             "lose_run" => self.lose_run = value.parse().ok()?,
+            "free_step_us" => self.free_step_us = value.parse().ok()?,
+            "play_once" => self.play_once = value.parse().ok()?,
             "freeze_ir_clock" => self.freeze_ir_clock = value.parse().ok()?,
             _ => return None,
         }
@@ -157,6 +169,16 @@ impl Folder {
         let bytes = fs::read(self.path.join(name)).unwrap_or_default();
         let values = bytes.chunks_exact(2);
         values.map(|b| u16::from_le_bytes([b[0], b[1]])).collect()
+    }
+
+    /// The number that a file holds; `None` if there is none.
+    pub(crate) fn number(&self, name: &str) -> Option<u64> {
+        let text = fs::read_to_string(self.path.join(name)).ok()?;
+        text.trim().parse().ok()
+    }
+
+    pub(crate) fn claim_path(&self) -> PathBuf {
+        self.path.join("claimed")
     }
 
     pub(crate) fn trace_path(&self) -> PathBuf {

@@ -48,15 +48,28 @@ impl Format {
     }
 }
 
+/// When a stream's frames begin, and which they are.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Play {
+    pub(crate) frame_secs: f64,
+    /// The first one, counted from when the device was plugged in.
+    pub(crate) first_frame: u64,
+    /// The one from which pictures and stamps are counted.
+    pub(crate) origin: u64,
+    /// Whether the stream falls silent after the last picture.
+    pub(crate) ends: bool,
+}
+
 /// A stream that has been started.
 #[derive(Debug)]
 pub(crate) struct Stream {
     format: Format,
     /// Frames to play, one after the other.
     values: Vec<u16>,
-    frame_secs: f64,
-    /// Number of the frame, counted from when the device was plugged in, that this stream starts with.
-    first_frame: u64,
+    /// Frames to play in their place, if there are any.
+    others: Vec<u16>,
+    plays_others: bool,
+    play: Play,
     /// Packets since then.
     n_packets: u64,
     lose_every: u64,
@@ -67,20 +80,24 @@ pub(crate) struct Stream {
 }
 
 impl Stream {
-    /// A stream that starts with the first frame that begins after `now`.
+    /// A stream at 640 columns; one whose frames come more rarely starts with the next of its own.
     pub(crate) fn start(
         format: Format,
         values: Vec<u16>,
-        frame_secs: f64,
-        now: Duration,
+        play: Play,
         (lose_every, lose_run): (u64, u64),
     ) -> Self {
-        let frame_secs = frame_secs * format.slower as f64;
         Stream {
+            play: Play {
+                frame_secs: play.frame_secs * format.slower as f64,
+                first_frame: play.first_frame.div_ceil(format.slower),
+                origin: play.origin / format.slower,
+                ..play
+            },
             format,
             values,
-            frame_secs,
-            first_frame: (now.as_secs_f64() / frame_secs).ceil() as u64,
+            others: Vec::new(),
+            plays_others: false,
             n_packets: 0,
             lose_every,
             lose_run,
@@ -90,20 +107,42 @@ impl Stream {
         }
     }
 
+    /// The same stream with other frames, which it plays when it is told to.
+    pub(crate) fn with_others(self, others: Vec<u16>) -> Self {
+        Stream { others, ..self }
+    }
+
+    /// Whether the other frames are played from the next one on.
+    pub(crate) fn play_others(&mut self, plays_others: bool) {
+        self.plays_others = plays_others && self.others.len() >= self.format.n_values;
+    }
+
     fn frame(&self) -> u64 {
-        self.first_frame + self.n_packets / self.format.n_packets()
+        self.play.first_frame + self.n_packets / self.format.n_packets()
+    }
+
+    /// The picture that the next packet is of, and the number of its stamp.
+    pub(crate) fn picture(&self) -> u64 {
+        self.frame() - self.play.origin
+    }
+
+    fn n_pictures(&self) -> u64 {
+        (self.values.len() / self.format.n_values) as u64
     }
 
     /// When the next packet comes: the packets of a frame are spread over its time.
     pub(crate) fn due(&self) -> Duration {
+        if self.play.ends && self.picture() >= self.n_pictures() {
+            return Duration::MAX;
+        }
         let per_frame = self.format.n_packets();
         let of_frame = (self.n_packets % per_frame + 1) as f64 / per_frame as f64;
-        Duration::from_secs_f64((self.frame() as f64 + of_frame) * self.frame_secs)
+        Duration::from_secs_f64((self.frame() as f64 + of_frame) * self.play.frame_secs)
     }
 
-    /// Ticks since the device was plugged in when the frame of the next packet was taken.
+    /// Ticks since the device was plugged in, or since the first picture, when the frame of the next packet was taken.
     pub(crate) fn ticks(&self) -> u32 {
-        (self.frame() * self.format.slower * TICKS_PER_FRAME) as u32
+        (self.picture() * self.format.slower * TICKS_PER_FRAME) as u32
     }
 
     /// The next packet comes and is written to `slot`; returns its length, 0 if it is lost on the way.
@@ -137,17 +176,21 @@ impl Stream {
     }
 
     fn pack_frame(&mut self) {
-        let frame = self.frame();
+        let frame = self.picture();
         if self.packed_frame == Some(frame) {
             return;
         }
-        let n_frames = (self.values.len() / self.format.n_values) as u64;
+        let values = match self.plays_others {
+            true => &self.others,
+            false => &self.values,
+        };
+        let n_frames = (values.len() / self.format.n_values) as u64;
         if n_frames == 0 {
             self.packed.clear();
             self.packed.resize(self.format.frame_bytes(), 0);
         } else {
             let start = (frame % n_frames) as usize * self.format.n_values;
-            let values = &self.values[start..start + self.format.n_values];
+            let values = &values[start..start + self.format.n_values];
             pack(values, self.format.bits, &mut self.packed);
         }
         self.packed_frame = Some(frame);
@@ -167,9 +210,14 @@ mod tests {
 
     #[test]
     fn frames_begin_in_time_and_lose_what_they_are_told_to() {
-        let now = Duration::from_millis(50);
+        let play = Play {
+            frame_secs: 1.0 / 30.0,
+            first_frame: 2,
+            origin: 0,
+            ends: false,
+        };
         let values = vec![3; Format::DEPTH.n_values];
-        let mut stream = Stream::start(Format::DEPTH, values, 1.0 / 30.0, now, (100, 2));
+        let mut stream = Stream::start(Format::DEPTH, values, play, (100, 2));
         assert_eq!(stream.ticks(), 4_000_000);
         let mut slot = [0; 1760];
         let lengths: Vec<usize> = (0..242).map(|_| stream.packet(0, &mut slot)).collect();
@@ -179,5 +227,18 @@ mod tests {
         assert_eq!(lengths[241], HEADER_BYTES + 422_400 % 1748);
         let due = stream.due().as_secs_f64();
         assert!((due - (3.0 + 1.0 / 242.0) / 30.0).abs() < 1e-6, "{due}");
+        // Played once, its second picture is the last.
+        let play = Play {
+            origin: 2,
+            ends: true,
+            ..play
+        };
+        let values = vec![3; 2 * Format::DEPTH.n_values];
+        let mut stream = Stream::start(Format::DEPTH, values, play, (0, 1));
+        assert_eq!(stream.ticks(), 0);
+        (0..2 * 242).for_each(|_| {
+            assert!(stream.due() < Duration::from_secs(1) && stream.packet(0, &mut slot) > 0)
+        });
+        assert_eq!(stream.due(), Duration::MAX);
     }
 }

@@ -4,6 +4,7 @@ use super::{OffsetArgs, next_frame};
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, ensure};
 use depth_camera::{DepthCamera, Frame, Sensor};
+use freenect1::NOMINAL_IR_OFFSET_PX;
 use relief::{
     calibrate::{ImageOffset, OffsetEstimate, combine_offsets, image_offset},
     config::{
@@ -16,9 +17,6 @@ use relief::{
 };
 use replay::ReplayCamera;
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
-
-/// What a raw Kinect I is said to have, pixels.
-const NOMINAL_PX: [f64; 2] = [5.0, 4.0];
 
 /// `relief calibrate offset`.
 pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
@@ -123,7 +121,7 @@ fn print(estimate: &OffsetEstimate, sensor: Sensor) {
     match sensor {
         Sensor::Kinect1 => println!(
             "a raw Kinect I has about ({}, {}), one whose driver or recording removed it (0, 0)",
-            NOMINAL_PX[0], NOMINAL_PX[1]
+            NOMINAL_IR_OFFSET_PX[0], NOMINAL_IR_OFFSET_PX[1]
         ),
         Sensor::Kinect2 => println!("a Kinect II has (0, 0): depth and infrared are one image"),
     }

@@ -20,6 +20,7 @@ use super::{
     losses::Losses,
     state::State,
     status::StatusSlot,
+    stop_depth::ShadingRequest,
     timing::StageClock,
 };
 use crate::{
@@ -66,6 +67,8 @@ pub struct FusionSetup {
     pub surfaces: Sender<SurfaceUpdate>,
     /// The run's output folder.
     pub folder: PathBuf,
+    /// Asks the camera to stop depth for a shading image, where that is the strategy.
+    pub shading: Option<ShadingRequest>,
 }
 
 /// A scan ready to be refined.
@@ -210,7 +213,7 @@ impl FusionStage {
             conditions,
             of_frames: State::default(),
             told: State::default(),
-            operator: Operator::new(setup.info.clone(), setup.folder),
+            operator: Operator::new(setup.info.clone(), setup.folder, setup.shading),
             showing: Showing::new(setup.live, setup.surfaces, range, setup.info.ir_full_scale),
             pulse: Pulse::default(),
             n_device_gaps: 0,

@@ -7,7 +7,11 @@ use super::{
 use crate::{
     capture::{EventKind, Tracked},
     geometry::motion_between,
-    pipeline::{command::Command, state::State},
+    pipeline::{
+        command::Command,
+        state::State,
+        stop_depth::{ShadingOutcome, ShadingRequest},
+    },
 };
 use depth_camera::{CameraInfo, Frame, Sensor};
 use std::path::PathBuf;
@@ -21,15 +25,18 @@ pub(super) struct Operator {
     pub(super) is_paused: bool,
     /// When a shading image was asked for: at the first frame after that.
     requested_secs: Option<f64>,
+    /// Stops depth for a shading image; `None` where the operator covers the projector, or nothing has to be covered.
+    shading: Option<ShadingRequest>,
     /// Writes down what there is, to be refined meanwhile.
     pub(super) interim: InterimWriter,
 }
 
 impl Operator {
-    pub(super) fn new(info: CameraInfo, folder: PathBuf) -> Self {
+    pub(super) fn new(info: CameraInfo, folder: PathBuf, shading: Option<ShadingRequest>) -> Self {
         Operator {
             is_paused: false,
             requested_secs: None,
+            shading,
             interim: InterimWriter::new(info, folder),
         }
     }
@@ -69,10 +76,29 @@ impl FusionStage {
         if let Some(selector) = &mut self.selector {
             selector.request(true);
         }
+        if let Some(shading) = &self.operator.shading {
+            shading.ask();
+        }
+    }
+
+    /// Tells of a shading image that could not be had by stopping depth.
+    fn hear_of_shading(&mut self) {
+        let outcome = self
+            .operator
+            .shading
+            .as_ref()
+            .and_then(ShadingRequest::take_outcome);
+        if let Some(ShadingOutcome::Refused(refusal)) = outcome {
+            if let Some(selector) = &mut self.selector {
+                selector.request(false);
+            }
+            self.refuse("snapshot", refusal.to_string());
+        }
     }
 
     /// Gives a shading image up that does not come, and tells what was wrong with the last frame.
     pub(super) fn give_up_request(&mut self, frame: &Frame) {
+        self.hear_of_shading();
         let Some(selector) = self.selector.as_mut().filter(|s| s.is_requested()) else {
             return;
         };

@@ -55,7 +55,8 @@ fn depth_and_infrared_of_one_moment_make_a_frame() {
     let late = now + Duration::from_millis(5);
     let frame = the_frame(ir(&mut assembler, 700, late, &[]));
     assert_eq!((frame.frame_id, frame.host_time), (0, now));
-    assert!((frame.device_time_secs - 500.0 / 60e6).abs() < 1e-12);
+    // To the microsecond.
+    assert_eq!(frame.device_time_secs, 8e-6);
     assert_eq!(frame.disparity.unwrap().data()[0], 500);
     let ir = frame.ir.unwrap();
     assert_eq!((ir.width(), ir.height(), ir.data()[0]), (640, 488, 700));

@@ -47,8 +47,8 @@ fn depth_stops_while_infrared_goes_on() {
                 let by_device = frame.device_time_secs - newest.device_time_secs;
                 let by_host = (frame.host_time - newest.host_time).as_secs_f64();
                 assert!(
-                    (by_device - by_host).abs() < 1e-6,
-                    "the host's clock tells the time"
+                    (by_device - by_host).abs() < 2e-6,
+                    "the host's clock tells the time, in whole microseconds"
                 );
                 newest = frame;
             }

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame};
+use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, whole_microseconds};
 
 use super::{
     device_thread::{DeviceThread, Reopen, Report},
@@ -194,7 +194,7 @@ impl DepthCamera for Freenect2Camera {
         Ok(Some(self.decoder.frame(
             packet,
             self.packet.position,
-            self.packet.device_time_secs,
+            whole_microseconds(self.packet.device_time_secs),
             self.packet.host_time,
         )))
     }

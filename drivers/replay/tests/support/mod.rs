@@ -29,6 +29,7 @@ pub fn tiny_camera() -> CameraInfo {
             k3: 0.0949,
         },
         ir_full_scale: Some(65535.0),
+        ir_gain: None,
         light: Some(Light {
             position_m: [0.052, 0.0, 0.004],
             kind: LightKind::Emitter,

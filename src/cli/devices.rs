@@ -1,0 +1,145 @@
+//! `relief devices` and `relief doctor`: what is plugged in, and what keeps it from working.
+
+use super::{DevicesArgs, DoctorArgs, run::Verdict, run::calibration_folder};
+use relief::{
+    config::calibration_path,
+    devices::{
+        Controller, Kinect, Machine, Model,
+        doctor::{self, Check, Finding, Level},
+        list,
+    },
+};
+use serde::Serialize;
+use serde_json::json;
+use std::path::Path;
+
+/// A Kinect as `--json` tells of it.
+#[derive(Serialize)]
+struct Entry<'a> {
+    serial: Option<&'a str>,
+    sensor: &'static str,
+    model: Model,
+    model_name: String,
+    /// `bcdDevice`; the firmware's own number is known when the device is open.
+    release: String,
+    port: &'a str,
+    node: String,
+    speed_mbps: Option<f64>,
+    controller: Option<&'a Controller>,
+    /// Whether the program can open it, as far as is known from outside.
+    usable: bool,
+    obstacle: Option<String>,
+}
+
+fn entry(kinect: &Kinect) -> Entry<'_> {
+    let camera = &kinect.camera;
+    Entry {
+        serial: kinect.serial.as_deref(),
+        sensor: kinect.model.sensor().name(),
+        model: kinect.model,
+        model_name: kinect.model.to_string(),
+        release: format!("{:x}.{:02x}", camera.release >> 8, camera.release & 0xff),
+        port: &camera.port,
+        node: camera.node(),
+        speed_mbps: camera.speed_mbps,
+        controller: camera.controller.as_ref(),
+        usable: kinect.serial.is_some() && kinect.obstacle.is_none(),
+        obstacle: kinect.obstacle.as_ref().map(ToString::to_string),
+    }
+}
+
+/// `relief devices`.
+pub fn devices(args: &DevicesArgs) -> anyhow::Result<Verdict> {
+    let kinects = list(&Machine::under(&args.root));
+    let entries: Vec<_> = kinects.iter().map(entry).collect();
+    if args.json {
+        println!("{}", json!({ "devices": entries }));
+        return Ok(Verdict::Done);
+    }
+    if entries.is_empty() {
+        println!("no Kinect is plugged in; `relief doctor` looks for the reason");
+    }
+    for entry in entries {
+        let speed = entry.speed_mbps.map(|speed| format!(" at {speed} Mbit/s"));
+        let controller = entry
+            .controller
+            .map(|controller| format!(", controller {}", controller.address));
+        println!(
+            "{}  {} (release {}), port {}{}{}",
+            entry.serial.unwrap_or("(no serial number)"),
+            entry.model_name,
+            entry.release,
+            entry.port,
+            speed.unwrap_or_default(),
+            controller.unwrap_or_default(),
+        );
+        match entry.obstacle {
+            None => println!("    ready"),
+            Some(obstacle) => println!("    not usable: {obstacle}"),
+        }
+    }
+    Ok(Verdict::Done)
+}
+
+/// `relief doctor`.
+pub fn doctor(args: &DoctorArgs) -> anyhow::Result<Verdict> {
+    if args.print_rules {
+        print!("{}", doctor::UDEV_RULES);
+        return Ok(Verdict::Done);
+    }
+    let machine = Machine::under(&args.root);
+    let mut findings = doctor::examine(&machine, &args.data);
+    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let kinects = list(&machine);
+    findings.extend(
+        kinects
+            .iter()
+            .filter_map(|kinect| calibration(kinect, &folder)),
+    );
+    let worst = doctor::worst(&findings);
+    match args.json {
+        true => println!("{}", json!({ "worst": worst, "findings": findings })),
+        false => findings.iter().for_each(print),
+    }
+    Ok(match worst {
+        Level::Ok | Level::Warning => Verdict::Done,
+        Level::Error => Verdict::Failed,
+    })
+}
+
+/// Whether the device's own calibration is known.
+fn calibration(kinect: &Kinect, folder: &Path) -> Option<Finding> {
+    let serial = kinect.serial.as_deref()?;
+    let finding = match calibration_path(folder, serial) {
+        Ok(path) if path.exists() => {
+            Finding::ok(Check::Calibration, format!("{} is there", path.display()))
+        }
+        Ok(path) => Finding::warning(
+            Check::Calibration,
+            format!(
+                "{} is not there: what is shipped for every device is used",
+                path.display()
+            ),
+            "relief calibrate; docs/calibration.md says how",
+        ),
+        Err(error) => Finding::error(
+            Check::Calibration,
+            error.to_string(),
+            "name the file of its calibration by --calibration",
+        ),
+    };
+    Some(finding.about(kinect))
+}
+
+fn print(finding: &Finding) {
+    let level = match finding.level {
+        Level::Ok => "ok     ",
+        Level::Warning => "warning",
+        Level::Error => "ERROR  ",
+    };
+    let device = finding.device.as_ref().map(|device| format!("{device}: "));
+    println!("{level}  {}{}", device.unwrap_or_default(), finding.says);
+    if let (Some(mend), Level::Warning | Level::Error) = (&finding.mend, finding.level) {
+        println!("         → {mend}");
+    }
+}

@@ -1,0 +1,51 @@
+//! Recordings of every kind as cameras.
+
+use super::DeviceParams;
+use depth_camera::{CameraError, DepthCamera};
+use freenect1::RawDisparityCamera;
+use freenect2::RawPacketCamera;
+use replay::{Pacing, ReplayCamera};
+use std::path::Path;
+
+/// What a folder holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recording {
+    /// Decoded frames.
+    Session,
+    /// Disparity and IR of a Kinect I.
+    RawDisparity,
+    /// Packets of a Kinect II.
+    RawPackets,
+}
+
+impl Recording {
+    /// What the folder looks like; a session if nothing says otherwise.
+    pub fn of_folder(folder: &Path) -> Self {
+        if folder.join(freenect1::RAW_DEVICE_FILE).exists() {
+            Recording::RawDisparity
+        } else if folder.join(freenect2::RAW_DEVICE_FILE).exists() {
+            Recording::RawPackets
+        } else {
+            Recording::Session
+        }
+    }
+}
+
+/// Opens a recording of any kind; raw ones are decoded as the live device's data would be.
+///
+/// # Errors
+/// [`CameraError::Invalid`] naming file, key or line, value and bound.
+pub fn open_recording(
+    folder: &Path,
+    params: &DeviceParams,
+    pacing: Pacing,
+) -> Result<Box<dyn DepthCamera>, CameraError> {
+    Ok(match Recording::of_folder(folder) {
+        Recording::Session => Box::new(ReplayCamera::open(folder)?.with_pacing(pacing)),
+        Recording::RawDisparity => Box::new(RawDisparityCamera::open(folder)?.with_pacing(pacing)),
+        Recording::RawPackets => {
+            let camera = RawPacketCamera::open(folder, params.kinect2.decoder_options())?;
+            Box::new(camera.with_pacing(pacing))
+        }
+    })
+}

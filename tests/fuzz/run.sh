@@ -1,0 +1,22 @@
+#!/usr/bin/env bash
+# Fuzzes each target for so many seconds (60 without an argument) with libFuzzer on the stable compiler; fails at the first
+# crash, whose input is left in tests/fuzz/artifacts. Needs a C++ compiler, for libFuzzer.
+set -euo pipefail
+cd "$(dirname "$0")"
+seconds=${1:-60}
+host=$(rustc -vV | sed -n 's/^host: //p')
+# What cargo-fuzz asks of a nightly compiler, but for the address sanitizer.
+passes=(-Cpasses=sancov-module)
+for argument in level=4 inline-8bit-counters pc-table trace-compares; do
+    passes+=("-Cllvm-args=-sanitizer-coverage-$argument")
+done
+export RUSTFLAGS="${passes[*]} -Ccodegen-units=1 --cfg fuzzing"
+# Naming the host's own target keeps the counters out of build scripts.
+${CARGO:-cargo} build --release --locked --target "$host"
+mkdir -p artifacts
+for target in kinect1_packets kinect2_packet recordings; do
+    mkdir -p "corpus/$target"
+    printf '\n== %s for %s s ==\n' "$target" "$seconds"
+    "target/$host/release/$target" "corpus/$target" "seeds/$target" -len_control=0 -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 \
+        -max_len=4096 -artifact_prefix="artifacts/$target-" -print_final_stats=1 2>&1 | grep -v '^#.*\(NEW\|REDUCE\|pulse\)'
+done

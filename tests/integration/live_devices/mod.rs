@@ -1,0 +1,7 @@
+//! Live devices: the program and the pipeline on the unmodified libfreenect, with a stand-in for libusb beneath it.
+
+mod recording;
+mod scan;
+mod several;
+mod shading;
+mod stand_in;
