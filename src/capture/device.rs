@@ -1,14 +1,22 @@
 //! The device thread's loop: takes frames from a camera until it ends, fails, or is told to stop.
+//!
+//! A live device, which does not know how many frames will come, may be unplugged or fall silent: once it has delivered a
+//! frame it is awaited, and the stream goes on when it is back. A recording ends at its end.
 
-use super::{CaptureParams, Event, EventKind};
+use super::{CaptureParams, Event, EventKind, continuity::Continuity};
 use depth_camera::{CameraError, DepthCamera, Frame};
+use serde::Serialize;
 use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
+    thread,
     time::{Duration, Instant},
 };
+
+/// A live device stalls when so many waits in a row are in vain.
+const STALLED_AFTER: usize = 2;
 
 /// What the device thread hands on.
 #[derive(Clone, Debug)]
@@ -17,6 +25,21 @@ pub enum Delivery {
     Frame(Arc<Frame>),
     /// Something that happened, never to be dropped.
     Event(Event),
+    /// The device is doing otherwise than before. After a gap this comes before the first frame.
+    Health(DeviceHealth),
+}
+
+/// How a live device is doing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DeviceHealth {
+    /// Frames come.
+    #[default]
+    Streaming,
+    /// It is there, and no frames come.
+    Stalled,
+    /// It is not there, or silent for long; it is waited for.
+    Gone,
 }
 
 /// How the stream ended.
@@ -56,6 +79,10 @@ pub fn run_device(
 ) -> CaptureSummary {
     let mut device = Device {
         params,
+        is_live: camera.info().n_frames.is_none(),
+        health: DeviceHealth::default(),
+        n_in_vain: 0,
+        continuity: Continuity::default(),
         summary: CaptureSummary {
             n_frames: 0,
             n_damaged: 0,
@@ -85,6 +112,12 @@ pub fn run_device(
 
 struct Device<'a> {
     params: &'a CaptureParams,
+    /// Whether it may come back.
+    is_live: bool,
+    health: DeviceHealth,
+    /// Waits in vain since it was heard last.
+    n_in_vain: usize,
+    continuity: Continuity,
     summary: CaptureSummary,
     last_heard: Instant,
 }
@@ -99,17 +132,20 @@ impl Device<'_> {
         match grabbed {
             Ok(None) => Some(CaptureEnd::EndOfStream),
             Ok(Some(frame)) => {
-                self.last_heard = Instant::now();
+                self.heard(deliver);
                 self.summary.n_frames += 1;
+                let frame = self.continuity.carry_on(frame);
                 let is_wanted = deliver(Delivery::Frame(Arc::new(frame)));
                 (!is_wanted).then_some(CaptureEnd::Unwanted)
             }
             Err(CameraError::DamagedFrame { frame_id, reason }) => {
-                self.last_heard = Instant::now();
+                self.heard(deliver);
+                let frame_id = self.continuity.number(frame_id);
                 let is_wanted = deliver(self.damaged(frame_id, reason));
                 (!is_wanted).then_some(CaptureEnd::Unwanted)
             }
-            Err(CameraError::Timeout { .. }) => self.timed_out(),
+            Err(CameraError::Timeout { .. }) => self.timed_out(deliver),
+            Err(error) if self.may_return(&error) => self.gone(error, deliver),
             Err(error) => {
                 tracing::error!(%error, "the camera failed");
                 Some(CaptureEnd::Failed(error))
@@ -131,101 +167,78 @@ impl Device<'_> {
         })
     }
 
-    fn timed_out(&mut self) -> Option<CaptureEnd> {
+    fn timed_out(&mut self, deliver: &mut impl FnMut(Delivery) -> bool) -> Option<CaptureEnd> {
         self.summary.n_timeouts += 1;
         let waited: Duration = self.last_heard.elapsed();
-        if waited < self.params.max_silence() {
-            return None;
-        }
         let error = CameraError::Timeout { waited };
-        tracing::error!(%error, "the camera is silent");
-        Some(CaptureEnd::Failed(error))
+        if waited >= self.params.max_silence() {
+            return self.gone(error, deliver);
+        }
+        self.n_in_vain += 1;
+        let is_stalled = self.n_in_vain >= STALLED_AFTER && self.is_awaited();
+        if is_stalled && self.health == DeviceHealth::Streaming {
+            self.turn(DeviceHealth::Stalled, deliver);
+        }
+        None
+    }
+
+    /// Whether the device may be waited for: it is a live one, and did stream.
+    fn is_awaited(&self) -> bool {
+        self.is_live && self.summary.n_frames > 0
+    }
+
+    /// Whether a device with this error may come back: what was unplugged may at first be refused to us.
+    fn may_return(&self, error: &CameraError) -> bool {
+        let is_gone = self.health == DeviceHealth::Gone;
+        match error {
+            CameraError::Disconnected => self.is_awaited(),
+            CameraError::Busy | CameraError::PermissionDenied => self.is_awaited() && is_gone,
+            _ => false,
+        }
+    }
+
+    /// Waits for a device that is not there, unless that has taken too long.
+    fn gone(
+        &mut self,
+        error: CameraError,
+        deliver: &mut impl FnMut(Delivery) -> bool,
+    ) -> Option<CaptureEnd> {
+        let patience = match self.is_awaited() {
+            true => self.params.max_silence().max(self.params.reconnect()),
+            false => Duration::ZERO,
+        };
+        if self.last_heard.elapsed() >= patience {
+            tracing::error!(%error, "the camera is given up");
+            return Some(CaptureEnd::Failed(error));
+        }
+        if self.health != DeviceHealth::Gone {
+            tracing::warn!(%error, "the camera is gone; waiting for it");
+            self.turn(DeviceHealth::Gone, deliver);
+        }
+        // A camera may say at once that it is not there.
+        if !matches!(error, CameraError::Timeout { .. }) {
+            thread::sleep(self.params.grab_timeout());
+        }
+        None
+    }
+
+    /// The device has delivered something.
+    fn heard(&mut self, deliver: &mut impl FnMut(Delivery) -> bool) {
+        self.n_in_vain = 0;
+        self.last_heard = Instant::now();
+        if self.health != DeviceHealth::Streaming {
+            tracing::info!("the camera is back");
+            self.turn(DeviceHealth::Streaming, deliver);
+        }
+    }
+
+    fn turn(&mut self, health: DeviceHealth, deliver: &mut impl FnMut(Delivery) -> bool) {
+        self.health = health;
+        self.continuity.interrupt();
+        // Whether frames are wanted shows when there is one.
+        deliver(Delivery::Health(health));
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use depth_camera::{CameraInfo, Image};
-    use simulated::SimulatedCamera;
-    use std::collections::VecDeque;
-
-    struct Script {
-        info: CameraInfo,
-        answers: VecDeque<Result<Option<Frame>, CameraError>>,
-    }
-
-    impl DepthCamera for Script {
-        fn info(&self) -> &CameraInfo {
-            &self.info
-        }
-
-        fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
-            let silence = Err(CameraError::Timeout { waited: timeout });
-            self.answers.pop_front().unwrap_or(silence)
-        }
-    }
-
-    #[derive(Default)]
-    struct Sink {
-        frames: Vec<u64>,
-        events: Vec<Event>,
-    }
-
-    fn frame(frame_id: u64) -> Result<Option<Frame>, CameraError> {
-        Ok(Some(Frame {
-            frame_id,
-            device_time_secs: frame_id as f64,
-            host_time: Instant::now(),
-            depth: Some(Image::filled(1, 1, 1.0)),
-            ir: None,
-        }))
-    }
-
-    fn run(answers: Vec<Result<Option<Frame>, CameraError>>) -> (CaptureSummary, Sink) {
-        let mut camera = Script {
-            info: SimulatedCamera::kinect2_plaque(1, 0).info().clone(),
-            answers: answers.into(),
-        };
-        let params = CaptureParams {
-            max_silence_secs: 0.0,
-            ..CaptureParams::default()
-        };
-        let mut sink = Sink::default();
-        let stop = AtomicBool::new(false);
-        let summary = run_device(&mut camera, &params, &stop, |delivery| {
-            match delivery {
-                Delivery::Frame(frame) => sink.frames.push(frame.frame_id),
-                Delivery::Event(event) => sink.events.push(event),
-            }
-            true
-        });
-        (summary, sink)
-    }
-
-    #[test]
-    fn a_damaged_frame_is_counted_and_told_and_the_stream_goes_on() {
-        let damage = CameraError::DamagedFrame {
-            frame_id: 1,
-            reason: "torn".into(),
-        };
-        let (summary, sink) = run(vec![frame(0), Err(damage), frame(2), Ok(None)]);
-        assert_eq!((summary.n_frames, summary.n_damaged), (3, 1));
-        assert_eq!(summary.end, CaptureEnd::EndOfStream);
-        assert_eq!(sink.frames, [0, 2]);
-        assert_eq!(sink.events.len(), 1);
-    }
-
-    #[test]
-    fn a_camera_that_is_gone_or_silent_ends_the_stream() {
-        let (summary, _) = run(vec![frame(0), Err(CameraError::Disconnected)]);
-        assert_eq!(summary.end, CaptureEnd::Failed(CameraError::Disconnected));
-        let (summary, sink) = run(vec![frame(0)]);
-        assert_eq!(summary.n_timeouts, 1);
-        assert!(matches!(
-            summary.end,
-            CaptureEnd::Failed(CameraError::Timeout { .. })
-        ));
-        assert_eq!(sink.frames, [0]);
-    }
-}
+mod tests;

@@ -1,7 +1,9 @@
 //! What happened during a scan, one line of `events.jsonl` each.
 
+use super::DeviceHealth;
 use crate::geometry::Pose;
 use serde::Serialize;
+use std::path::PathBuf;
 
 /// What tracking tells the recorder.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,8 +39,10 @@ pub enum EventKind {
     },
     /// Tracking was lost at this frame.
     Lost {
-        /// Why.
+        /// Why, with figures.
         reason: String,
+        /// Stable name of the reason that the operator is told.
+        code: &'static str,
     },
     /// Tracking is about to be lost at this frame.
     Weak {
@@ -53,5 +57,40 @@ pub enum EventKind {
     Snapshot {
         /// Shading images so far.
         n_snapshots: usize,
+    },
+    /// What the operator is told has changed.
+    State {
+        /// Stable name of the state.
+        state: &'static str,
+        /// Stable name of its reason, if it has one.
+        reason: Option<&'static str>,
+    },
+    /// The device is doing otherwise than before.
+    Device {
+        /// How it is doing.
+        health: DeviceHealth,
+    },
+    /// The operator paused the scan.
+    Paused,
+    /// The operator ended the pause.
+    Resumed,
+    /// The operator took the last frames back.
+    Undone {
+        /// How many of them were in the model.
+        n_frames: usize,
+    },
+    /// The operator began anew.
+    Reset,
+    /// What the operator asked for could not be done.
+    Refused {
+        /// What was asked for.
+        command: &'static str,
+        /// Why not.
+        reason: String,
+    },
+    /// The scan as it is was written down, to be refined.
+    Interim {
+        /// Where.
+        folder: PathBuf,
     },
 }

@@ -3,12 +3,13 @@
 //!
 //! Both are plain loops over what they are given; threads and channels are made by `pipeline`.
 
+mod continuity;
 mod device;
 mod event;
 mod ir_offset;
 mod recorder;
 
-pub use device::{CaptureEnd, CaptureSummary, Delivery, run_device};
+pub use device::{CaptureEnd, CaptureSummary, Delivery, DeviceHealth, run_device};
 pub use event::{Event, EventKind, Tracked};
 pub use ir_offset::IrOffset;
 pub use recorder::{Recorder, RecorderSummary};
@@ -22,8 +23,10 @@ use std::time::Duration;
 pub struct CaptureParams {
     /// How long to wait for one frame before looking whether to stop, seconds.
     pub grab_timeout_secs: f64,
-    /// A device that is silent for longer is given up, seconds.
+    /// A device that is silent for longer is given up, seconds; a live one counts as gone.
     pub max_silence_secs: f64,
+    /// A live device that is gone is awaited for so long, seconds, once it has delivered a frame.
+    pub reconnect_secs: f64,
     /// Depth of a recording is stored in steps of 1 / this many metres.
     pub record_depth_units_per_metre: f64,
 }
@@ -33,6 +36,7 @@ impl Default for CaptureParams {
         CaptureParams {
             grab_timeout_secs: 0.5,
             max_silence_secs: 10.0,
+            reconnect_secs: 600.0,
             record_depth_units_per_metre: 5000.0,
         }
     }
@@ -47,6 +51,7 @@ impl CaptureParams {
         for (key, value, low, high) in [
             ("grab_timeout_secs", self.grab_timeout_secs, 0.01, 5.0),
             ("max_silence_secs", self.max_silence_secs, 0.1, 3600.0),
+            ("reconnect_secs", self.reconnect_secs, 0.0, 86_400.0),
             (
                 "record_depth_units_per_metre",
                 self.record_depth_units_per_metre,
@@ -63,6 +68,10 @@ impl CaptureParams {
 
     fn grab_timeout(&self) -> Duration {
         Duration::from_secs_f64(self.grab_timeout_secs)
+    }
+
+    fn reconnect(&self) -> Duration {
+        Duration::from_secs_f64(self.reconnect_secs)
     }
 
     fn max_silence(&self) -> Duration {

@@ -123,6 +123,11 @@ impl Recorder {
         }
     }
 
+    /// Whether something could not be written.
+    pub fn has_failed(&self) -> bool {
+        !self.summary.failures.is_empty()
+    }
+
     /// Ends the recording.
     pub fn finish(mut self) -> RecorderSummary {
         self.finish_session();
@@ -185,6 +190,7 @@ mod tests {
             device_time_secs: Some(100.5),
             kind: EventKind::Lost {
                 reason: "jump".into(),
+                code: "too_fast",
             },
         };
         while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
@@ -200,7 +206,7 @@ mod tests {
         let lines = fs::read_to_string(folder.path().join("events.jsonl")).unwrap();
         assert_eq!(
             lines,
-            "{\"frame_id\":1,\"device_time_secs\":100.5,\"event\":\"lost\",\"reason\":\"jump\"}\n"
+            "{\"frame_id\":1,\"device_time_secs\":100.5,\"event\":\"lost\",\"reason\":\"jump\",\"code\":\"too_fast\"}\n"
         );
     }
 }

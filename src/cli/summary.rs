@@ -129,6 +129,7 @@ fn print_frames(report: &Report) {
         (frames.damaged, "damaged"),
         (frames.dropped, "dropped"),
         (frames.without_depth, "without depth"),
+        (frames.paused, "paused"),
     ] {
         if n > 0 {
             line += &format!(", {n} {what}");

@@ -1,6 +1,6 @@
 //! How far a run is: a bar on a terminal, a line now and then elsewhere, or nothing.
 
-use crate::pipeline::{Phase, Status};
+use crate::pipeline::{Phase, State, Status};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::{
     io::{self, IsTerminal, Write},
@@ -95,7 +95,7 @@ impl Progress {
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         let line = sentence(status);
         let is_due = match &*last {
-            None => status.n_handled > 0,
+            None => status.frames.handled() > 0,
             Some((when, text)) => when.elapsed() >= BETWEEN_LINES && *text != line,
         };
         if is_due {
@@ -122,8 +122,14 @@ impl Write for LogWriter {
 /// How much of the present phase is done, and of how much, where that is known.
 fn share(status: &Status) -> (u64, Option<u64>) {
     match status.phase {
-        Phase::Capturing => (status.n_handled, status.n_announced.map(|n| n as u64)),
-        Phase::Refining => (status.rounds.0 as u64, Some(status.rounds.1.max(1) as u64)),
+        Phase::Capturing => (
+            status.frames.handled(),
+            status.n_announced.map(|n| n as u64),
+        ),
+        Phase::Refining => {
+            let (begun, of) = status.refinement.rounds;
+            (begun as u64, Some(of.max(1) as u64))
+        }
         Phase::Meshing | Phase::Exporting => (0, None),
     }
 }
@@ -135,42 +141,65 @@ fn sentence(status: &Status) -> String {
             let of = status
                 .n_announced
                 .map_or_else(String::new, |n| format!(" of {n}"));
-            let lost = match (status.is_lost, status.fitness) {
-                (true, _) => ", LOST".to_owned(),
-                (false, Some(fitness)) => format!(", fitness {fitness:.1}"),
-                (false, None) => String::new(),
-            };
+            let frames = &status.frames;
             format!(
-                "frame {}{of}: {} fused, {} lost{lost}, {} shading images",
-                status.n_handled, status.n_fused, status.n_lost, status.n_snapshots
+                "frame {}{of}: {} fused, {} lost{}, {} shading images",
+                frames.handled(),
+                frames.fused,
+                frames.lost,
+                state(status),
+                status.snapshots.accepted
             )
         }
         Phase::Meshing => "extracting the base mesh".to_owned(),
-        Phase::Refining if status.n_steps == 0 => "refining: preparing".to_owned(),
+        Phase::Refining if status.refinement.n_steps == 0 => "refining: preparing".to_owned(),
         Phase::Refining => format!(
             "refining: round {} of {}, step {}, energy at {:.1} % of the start",
-            status.rounds.0,
-            status.rounds.1,
-            status.n_steps,
-            100.0 * status.energy_share
+            status.refinement.rounds.0,
+            status.refinement.rounds.1,
+            status.refinement.n_steps,
+            100.0 * status.refinement.energy_share
         ),
         Phase::Exporting => "writing outputs".to_owned(),
+    }
+}
+
+/// How tracking is doing: the reason where it is not at its best, the fitness where there is one.
+fn state(status: &Status) -> String {
+    let reason = status.state.reason().unwrap_or_default().replace('_', " ");
+    match (status.state, status.fitness) {
+        (State::Lost(_), _) => format!(", LOST ({reason})"),
+        (State::Fault(_), _) => format!(", FAULT ({reason})"),
+        (State::Relocalising, _) => ", looking for the place".to_owned(),
+        (State::Paused, _) => ", paused".to_owned(),
+        (State::Degraded(_), Some(fitness)) => format!(", fitness {fitness:.1} ({reason})"),
+        (State::Degraded(_), None) => format!(" ({reason})"),
+        (_, Some(fitness)) => format!(", fitness {fitness:.1}"),
+        (_, None) => String::new(),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::{FrameAccounts, Loss, SnapshotCounts};
 
     #[test]
     fn a_status_reads_as_a_line() {
         let mut status = Status {
             n_announced: Some(48),
-            n_handled: 12,
-            n_fused: 11,
-            n_lost: 1,
+            frames: FrameAccounts {
+                produced: 13,
+                fused: 11,
+                lost: 1,
+                in_flight: 1,
+                ..FrameAccounts::default()
+            },
             fitness: Some(0.82),
-            n_snapshots: 3,
+            snapshots: SnapshotCounts {
+                accepted: 3,
+                ..SnapshotCounts::default()
+            },
             ..Status::default()
         };
         assert_eq!(
@@ -178,10 +207,15 @@ mod tests {
             "frame 12 of 48: 11 fused, 1 lost, fitness 0.8, 3 shading images"
         );
         assert_eq!(share(&status), (12, Some(48)));
+        status.state = State::Lost(Loss::TooFast);
+        assert_eq!(
+            sentence(&status),
+            "frame 12 of 48: 11 fused, 1 lost, LOST (too fast), 3 shading images"
+        );
         status.phase = Phase::Refining;
-        status.rounds = (2, 4);
-        status.n_steps = 7;
-        status.energy_share = 0.25;
+        status.refinement.rounds = (2, 4);
+        status.refinement.n_steps = 7;
+        status.refinement.energy_share = 0.25;
         assert_eq!(
             sentence(&status),
             "refining: round 2 of 4, step 7, energy at 25.0 % of the start"

@@ -61,6 +61,10 @@ pub struct FrameCounts {
     pub dropped: u64,
     /// Frames that carry no depth, such as shading images.
     pub without_depth: u64,
+    /// Frames that came while the scan was paused.
+    pub paused: u64,
+    /// Frames that none of the above accounts for: 0 unless the program is wrong.
+    pub unaccounted: i64,
 }
 
 /// What became of the camera's path.

@@ -191,6 +191,7 @@ pub(super) fn capture(report: &Report) -> Markup {
         ("Damaged", f.damaged),
         ("Dropped", f.dropped),
         ("Without depth", f.without_depth),
+        ("Paused", f.paused),
     ];
     let spans = &report.tracking.lost_spans;
     html! {

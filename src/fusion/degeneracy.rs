@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 /// Below this mean square share of the residuals' direction a motion is not held by the geometry: sensor noise alone makes
 /// 0.0003 of a wall. Recorded objects have 0.0011 (a bust from behind), 0.0019 (a relief) and more; with 0.002 here, images
 /// took the relief's path from 2.14 to 2.45 mm of error. A ball on a table has 0.0010 to 0.0013.
-const MAX_DEGENERATE_SHARE: f64 = 0.0008;
+pub const MAX_DEGENERATE_SHARE: f64 = 0.0008;
 
 /// Below this share a view is kept to hold the frames to come: geometry is lost over several frames.
 pub const HARDLY_HELD_SHARE: f64 = 3.0 * MAX_DEGENERATE_SHARE;

@@ -107,6 +107,11 @@ impl Infrared {
         self.is_in_hand = false;
     }
 
+    /// Forgets the view that others were compared to.
+    pub fn forget_key(&mut self) {
+        self.key = None;
+    }
+
     /// Moves an aligned frame in the directions that its geometry leaves free to where its image agrees with the key view;
     /// `None` if there are no such directions, or nothing to compare.
     pub fn hold(

@@ -77,6 +77,12 @@ impl Keyframes {
         }
     }
 
+    /// Lets all but the first `n` frames go.
+    pub fn truncate(&mut self, n: usize) {
+        self.frames.truncate(n);
+        self.memory_bytes = self.frames.iter().map(|f| f.depth.memory_bytes()).sum();
+    }
+
     fn thin_out(&mut self) {
         let mut index = 0;
         self.frames.retain(|_| {

@@ -184,7 +184,7 @@ fn settle(
 }
 
 /// Fuses all frames at their corrected poses.
-fn fuse_again(
+pub(super) fn fuse_again(
     frames: &[Keyframe],
     correction: &PoseCorrection,
     eye: &Eye,

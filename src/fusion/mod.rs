@@ -41,6 +41,7 @@ mod raycast;
 
 mod polish;
 mod relocalise;
+mod take_back;
 
 mod depth_field;
 mod fragment_alignment;
@@ -406,7 +407,7 @@ impl Fusion {
     fn remember(&mut self, fit: Option<&Fit>) {
         self.hypothesis = None;
         self.is_interrupted = false;
-        self.places.visit(&self.eye, &self.track.world_from_camera);
+        self.places.visit(&self.eye, &self.track);
         let Track {
             world_from_camera,
             time_secs,

@@ -1,5 +1,6 @@
 //! What becomes of a frame.
 
+use super::degeneracy::MAX_DEGENERATE_SHARE;
 use crate::geometry::Pose;
 use serde::Serialize;
 
@@ -19,6 +20,13 @@ pub struct Fit {
     pub held_share: f64,
     /// How far the frame is from being lost, 0 to 1: 0 at the nearest gate, 1 halfway between every gate and a perfect fit.
     pub fitness: f64,
+}
+
+impl Fit {
+    /// Whether the shape of what is seen lets the camera slide, whatever else holds it.
+    pub fn is_sliding(&self) -> bool {
+        self.held_share < MAX_DEGENERATE_SHARE
+    }
 }
 
 /// Why the camera is lost.

@@ -11,6 +11,7 @@ use super::eye::Eye;
 use super::icp::CastModel;
 use super::pyramid::{FramePyramid, N_REDUCED};
 use super::raycast::{ModelMap, raycast_anywhere};
+use super::track::Track;
 use super::volume::TsdfVolume;
 use super::{Fit, FusionParams, MODEL_LEVEL, align, gates};
 use crate::geometry::{Pose, motion_between};
@@ -42,9 +43,17 @@ const MAX_SEE_THROUGH_SHARE: f64 = 0.02;
 /// Mean depths of the cells of a depth image, metres; 0 where most pixels are missing.
 type Thumbnail = Vec<f32>;
 
-/// The places where the camera has been.
+/// The places where the camera has been, in order of time.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Places(Vec<(Pose, Thumbnail)>);
+pub(super) struct Places(Vec<Place>);
+
+/// A place, when the camera was there first (s), and what it saw.
+#[derive(Clone, Debug)]
+struct Place {
+    world_from_camera: Pose,
+    time_secs: f64,
+    seen: Thumbnail,
+}
 
 /// A pose that the next frame has to confirm.
 #[derive(Clone, Debug)]
@@ -56,14 +65,23 @@ pub(super) struct Hypothesis {
 
 impl Places {
     /// Takes the place of a frame in if it is a new one.
-    pub(super) fn visit(&mut self, eye: &Eye, world_from_camera: &Pose) {
-        let is_near = |(place, _): &(Pose, Thumbnail)| {
-            let motion = motion_between(place, world_from_camera);
+    pub(super) fn visit(&mut self, eye: &Eye, track: &Track) {
+        let is_near = |place: &Place| {
+            let motion = motion_between(&place.world_from_camera, &track.world_from_camera);
             motion.rotation_rad < PLACE_ROTATION_RAD && motion.translation_m < PLACE_TRANSLATION_M
         };
         if self.0.len() < MAX_PLACES && !self.0.iter().any(is_near) {
-            self.0.push((*world_from_camera, thumbnail(&eye.frame)));
+            self.0.push(Place {
+                world_from_camera: track.world_from_camera,
+                time_secs: track.time_secs,
+                seen: thumbnail(&eye.frame),
+            });
         }
+    }
+
+    /// Forgets the places that were found later than `after_secs`.
+    pub(super) fn forget_after(&mut self, after_secs: f64) {
+        self.0.retain(|place| place.time_secs <= after_secs);
     }
 
     /// Poses of the places that look most like a frame, the likest first.
@@ -72,7 +90,7 @@ impl Places {
         let mut places: Vec<(f32, Pose)> = self
             .0
             .iter()
-            .map(|(pose, seen)| (difference(&live, seen), *pose))
+            .map(|place| (difference(&live, &place.seen), place.world_from_camera))
             .collect();
         places.sort_by(|a, b| a.0.total_cmp(&b.0));
         places.truncate(N_CANDIDATES);

@@ -7,7 +7,7 @@ use crate::{
         ExportError, Report, ReportPictures, SnapshotRecord, write_glb, write_ply,
         write_report_html, write_report_json, write_snapshots, write_trajectory,
     },
-    geometry::TriMesh,
+    geometry::{Pose, TriMesh},
     refine::Refinement,
     snapshot::ShadingSnapshot,
 };
@@ -115,10 +115,13 @@ impl Outbox {
             account.outputs.extend_from_slice(&summary.outputs);
             account.failures.extend_from_slice(&summary.failures);
         });
-        if !summary.trajectory.is_empty() {
-            self.write(TRAJECTORY, |path| {
-                write_trajectory(path, &summary.trajectory)
-            });
+        self.trajectory(&summary.trajectory);
+    }
+
+    /// Writes times (s) and poses, if there are any.
+    pub fn trajectory(&self, trajectory: &[(f64, Pose)]) {
+        if !trajectory.is_empty() {
+            self.write(TRAJECTORY, |path| write_trajectory(path, trajectory));
         }
     }
 

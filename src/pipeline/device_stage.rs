@@ -1,11 +1,13 @@
 //! The device thread: the camera's frames to fusion and recorder.
 
 use super::{
-    edges::{FrameSender, RecordingSender},
-    status::StopToken,
+    edges::{FrameSender, RecordingSender, TrackedSender},
+    status::{StatusSlot, StopToken},
 };
-use crate::capture::{CaptureParams, CaptureSummary, Delivery, IrOffset, Tracked, run_device};
-use crossbeam::channel::Sender;
+use crate::capture::{
+    CaptureParams, CaptureSummary, Delivery, DeviceHealth, Event, EventKind, IrOffset, Tracked,
+    run_device,
+};
 use depth_camera::DepthCamera;
 
 /// What the device thread needs to know.
@@ -19,7 +21,9 @@ pub struct DeviceSetup {
     /// Where the camera's IR image lies; fusion gets frames without the offset.
     pub ir_offset: IrOffset,
     /// Ends capture.
-    pub stop: StopToken,
+    pub end: StopToken,
+    /// Where the accounts of the frames are.
+    pub status: StatusSlot,
 }
 
 /// Runs the camera to the end of its stream.
@@ -27,20 +31,36 @@ pub fn run(
     mut setup: DeviceSetup,
     frames: &FrameSender,
     recording: &RecordingSender,
-    events: &Sender<Tracked>,
+    events: &TrackedSender,
 ) -> CaptureSummary {
-    let stop = setup.stop.flag();
+    let end = setup.end.flag();
+    let mut last_frame_id = 0;
     run_device(
         setup.camera.as_mut(),
         &setup.capture,
-        stop,
+        end,
         |delivery| match delivery {
-            // A recorder that is gone is told of where its thread is joined; fusion goes on without it.
             Delivery::Event(event) => {
-                let _ = events.send(Tracked::Event(event));
+                if let EventKind::Damaged { .. } = event.kind {
+                    setup.status.update(|status| status.frames.damaged());
+                }
+                events.send(Tracked::Event(event));
+                true
+            }
+            Delivery::Health(health) => {
+                setup.status.update(|status| {
+                    status.device = health;
+                    status.n_device_gaps += u64::from(health == DeviceHealth::Streaming);
+                });
+                events.send(Tracked::Event(Event {
+                    frame_id: last_frame_id,
+                    device_time_secs: None,
+                    kind: EventKind::Device { health },
+                }));
                 true
             }
             Delivery::Frame(frame) => {
+                last_frame_id = frame.frame_id;
                 if setup.record {
                     recording.send(frame.clone());
                 }

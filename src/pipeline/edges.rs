@@ -5,9 +5,14 @@
 //! | device → fusion, frames | 4 | [`WhenFull`]: a recording blocks; a live device drops the oldest frame, which is counted |
 //! | device → recorder, frames | 64 | [`WhenFull`]: a recording blocks; a live device leaves out IR from three quarters on, then drops the frame; both are counted |
 //! | device, fusion → recorder, events and poses | 1024 | blocks: nothing of it may be lost, and the recorder never waits for its sender |
+//! | outside → fusion, commands | 8 | refused: whoever asks never waits |
+//! | fusion → sewing, changed patches of the surface | 1 | not made: the next ones are newer |
 //! | fusion → refine, the fused scan | 1 | never: one scan is sent |
 
-use super::fusion_stage::FusedScan;
+use super::{
+    accounts::Place, command::Command, event_log::EventLog, fusion_stage::FusedScan,
+    live::surface::SurfaceUpdate, status::StatusSlot,
+};
 use crate::capture::Tracked;
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
 use depth_camera::Frame;
@@ -21,6 +26,8 @@ const RECORDING: usize = 64;
 /// From this fill on IR is not recorded.
 const RECORDING_WITHOUT_IR: usize = RECORDING / 4 * 3;
 const TRACKED: usize = 1024;
+const COMMANDS: usize = 8;
+const SURFACES: usize = 1;
 const SCANS: usize = 1;
 
 /// What the device thread does when its consumers are slower than the device.
@@ -33,11 +40,9 @@ pub enum WhenFull {
     Drop,
 }
 
-/// Frames that were dropped because the program was busy.
+/// Frames that were not, or not wholly, recorded because the disk was busy.
 #[derive(Debug, Default)]
 pub struct DropCounts {
-    /// Frames that fusion never saw.
-    pub frames: AtomicU64,
     /// Frames that were recorded without their IR.
     pub recorded_ir: AtomicU64,
     /// Frames that were not recorded.
@@ -49,18 +54,19 @@ pub struct FrameSender {
     channel: Sender<Arc<Frame>>,
     /// There if the oldest frame makes way: what takes it out, and whether fusion still listens.
     overflow: Option<(Receiver<Arc<Frame>>, Weak<()>)>,
-    counts: Arc<DropCounts>,
+    status: StatusSlot,
 }
 
 /// Device → fusion, receiving end.
 pub struct FrameReceiver {
     channel: Receiver<Arc<Frame>>,
     /// Tells a sender, which holds a receiver of its own, that nobody listens any more.
-    _alive: Arc<()>,
+    alive: Option<Arc<()>>,
+    status: StatusSlot,
 }
 
 /// Device → fusion.
-pub fn frames(when_full: WhenFull, counts: &Arc<DropCounts>) -> (FrameSender, FrameReceiver) {
+pub fn frames(when_full: WhenFull, status: &StatusSlot) -> (FrameSender, FrameReceiver) {
     let (sender, receiver) = bounded(FRAMES);
     let alive = Arc::new(());
     let overflow = match when_full {
@@ -70,11 +76,12 @@ pub fn frames(when_full: WhenFull, counts: &Arc<DropCounts>) -> (FrameSender, Fr
     let sender = FrameSender {
         channel: sender,
         overflow,
-        counts: counts.clone(),
+        status: status.clone(),
     };
     let receiver = FrameReceiver {
         channel: receiver,
-        _alive: alive,
+        alive: Some(alive),
+        status: status.clone(),
     };
     (sender, receiver)
 }
@@ -82,28 +89,56 @@ pub fn frames(when_full: WhenFull, counts: &Arc<DropCounts>) -> (FrameSender, Fr
 impl FrameSender {
     /// Sends a frame; false if nobody listens any more.
     pub fn send(&self, frame: Arc<Frame>) -> bool {
-        let Some((oldest, alive)) = &self.overflow else {
-            return self.channel.send(frame).is_ok();
+        self.status.update(|status| status.frames.sent());
+        let is_wanted = match &self.overflow {
+            None => self.channel.send(frame).is_ok(),
+            Some((oldest, alive)) => {
+                self.send_newest(frame, oldest);
+                alive.strong_count() > 0
+            }
         };
-        let mut frame = frame;
-        loop {
-            match self.channel.try_send(frame) {
-                Ok(()) => return alive.strong_count() > 0,
-                Err(TrySendError::Disconnected(_)) => return false,
-                Err(TrySendError::Full(refused)) => frame = refused,
-            }
+        if !is_wanted {
+            self.unwanted();
+        }
+        is_wanted
+    }
+
+    /// Puts a frame in, the oldest one out if there is no room.
+    fn send_newest(&self, mut frame: Arc<Frame>, oldest: &Receiver<Arc<Frame>>) {
+        while let Err(TrySendError::Full(refused)) = self.channel.try_send(frame) {
+            frame = refused;
             if oldest.try_recv().is_ok() {
-                self.counts.frames.fetch_add(1, Ordering::Relaxed);
+                dropped(&self.status);
             }
+        }
+    }
+
+    /// Accounts for what nobody will take out: a frame that was put in, or refused, after the receiver was dropped.
+    fn unwanted(&self) {
+        match &self.overflow {
+            None => dropped(&self.status),
+            Some((left, _)) => left.try_iter().for_each(|_| dropped(&self.status)),
         }
     }
 }
 
 impl FrameReceiver {
-    /// Waits for a frame; `None` when there will be no more.
-    pub fn recv(&self) -> Option<Arc<Frame>> {
-        self.channel.recv().ok()
+    /// The channel itself, to be waited for among others.
+    pub fn channel(&self) -> &Receiver<Arc<Frame>> {
+        &self.channel
     }
+}
+
+impl Drop for FrameReceiver {
+    fn drop(&mut self) {
+        // In this order: what a sender puts in later it takes out itself.
+        self.alive = None;
+        self.channel.try_iter().for_each(|_| dropped(&self.status));
+    }
+}
+
+fn dropped(status: &StatusSlot) {
+    status.update(|status| status.frames.arrived(Place::Dropped));
 }
 
 /// Device → recorder, sending end.
@@ -158,9 +193,38 @@ impl RecordingSender {
     }
 }
 
-/// Device and fusion → recorder, events and poses.
-pub fn tracked() -> (Sender<Tracked>, Receiver<Tracked>) {
-    bounded(TRACKED)
+/// Device and fusion → recorder, sending end.
+#[derive(Clone)]
+pub struct TrackedSender {
+    channel: Sender<Tracked>,
+    log: EventLog,
+}
+
+/// Device and fusion → recorder, events and poses; events also go to the log of the newest.
+pub fn tracked(log: &EventLog) -> (TrackedSender, Receiver<Tracked>) {
+    let (channel, receiver) = bounded(TRACKED);
+    let log = log.clone();
+    (TrackedSender { channel, log }, receiver)
+}
+
+impl TrackedSender {
+    /// Sends; a recorder that is gone is told of where its thread is joined, and the others go on without it.
+    pub fn send(&self, tracked: Tracked) {
+        if let Tracked::Event(event) = &tracked {
+            self.log.push(event.clone());
+        }
+        let _ = self.channel.send(tracked);
+    }
+}
+
+/// Outside → fusion.
+pub fn commands() -> (Sender<Command>, Receiver<Command>) {
+    bounded(COMMANDS)
+}
+
+/// Fusion → sewing.
+pub fn surfaces() -> (Sender<SurfaceUpdate>, Receiver<SurfaceUpdate>) {
+    bounded(SURFACES)
 }
 
 /// Fusion → refine.
@@ -186,15 +250,20 @@ mod tests {
 
     #[test]
     fn the_newest_frames_win_and_the_rest_is_counted() {
-        let counts = Arc::new(DropCounts::default());
-        let (sender, receiver) = frames(WhenFull::Drop, &counts);
+        let status = StatusSlot::default();
+        let (sender, receiver) = frames(WhenFull::Drop, &status);
         for frame_id in 0..10 {
             assert!(sender.send(frame(frame_id)));
         }
-        assert_eq!(counts.frames.load(Ordering::Relaxed), 6);
-        assert_eq!(receiver.recv().map(|frame| frame.frame_id), Some(6));
+        let accounts = status.get().frames;
+        assert_eq!((accounts.dropped, accounts.in_flight), (6, 4));
+        assert_eq!(receiver.channel().recv().unwrap().frame_id, 6);
         drop(receiver);
         assert!(!sender.send(frame(10)));
+        // The one that was taken out is still in somebody's hands.
+        let accounts = status.get().frames;
+        assert_eq!((accounts.dropped, accounts.in_flight), (10, 1));
+        assert_eq!((accounts.produced, accounts.unaccounted()), (11, 0));
     }
 
     #[test]

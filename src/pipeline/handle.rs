@@ -1,9 +1,12 @@
 //! What the outside holds of a running pipeline: its newest status, a way to stop it, and its outcome.
 
 use super::{
+    command::{Command, CommandDesk, CommandRefused},
     deliver::Outbox,
     edges::DropCounts,
+    event_log::EventLog,
     fusion_stage::FusionSummary,
+    live::Live,
     output_folder::OutputFolder,
     pictures,
     refine_stage::RefineSummary,
@@ -31,6 +34,7 @@ pub(super) struct Threads {
     pub device: Option<JoinHandle<CaptureSummary>>,
     pub fusion: JoinHandle<FusionSummary>,
     pub recorder: Option<JoinHandle<RecorderSummary>>,
+    pub sewing: Option<JoinHandle<()>>,
     pub refine: JoinHandle<RefineSummary>,
 }
 
@@ -38,7 +42,14 @@ pub(super) struct Threads {
 #[derive(Clone, Debug, Default)]
 pub struct Watch {
     pub(super) status: StatusSlot,
+    /// Ends capture, so that the rest follows.
+    pub(super) end: StopToken,
+    /// Ends refinement too.
     pub(super) stop: StopToken,
+    pub(super) live: Live,
+    pub(super) events: EventLog,
+    /// `None` where nothing is captured.
+    pub(super) desk: Option<CommandDesk>,
 }
 
 impl Watch {
@@ -47,9 +58,35 @@ impl Watch {
         self.status.get()
     }
 
+    /// What can be looked at beside the status.
+    pub fn live(&self) -> &Live {
+        &self.live
+    }
+
+    /// The newest events.
+    pub fn events(&self) -> &EventLog {
+        &self.events
+    }
+
+    /// Asks for something; it is done between two frames. Never blocks.
+    ///
+    /// # Errors
+    /// If the command makes no sense now, or too many are waiting.
+    pub fn command(&self, command: Command) -> Result<(), CommandRefused> {
+        let desk = self.desk.as_ref().ok_or(CommandRefused::NotScanning)?;
+        desk.ask(command, &self.status())?;
+        match command {
+            Command::Finish => self.end.stop(),
+            Command::Abandon => self.stop(),
+            _ => {}
+        }
+        Ok(())
+    }
+
     /// Ends capture and refinement; what was captured is still fused, exported and reported.
     pub fn stop(&self) {
         self.stop.stop();
+        self.end.stop();
     }
 }
 
@@ -94,7 +131,7 @@ impl Handle {
         let outbox = &self.outbox;
         let device = self.threads.device;
         let capture = device.and_then(|device| ended("device", device, outbox));
-        let mut capture = capture.unwrap_or(CaptureSummary {
+        let capture = capture.unwrap_or(CaptureSummary {
             n_frames: 0,
             n_damaged: 0,
             n_timeouts: 0,
@@ -102,10 +139,11 @@ impl Handle {
             end: CaptureEnd::Unwanted,
         });
         let fusion = ended("fusion", self.threads.fusion, outbox).unwrap_or_default();
-        // Frames that were fused before this run are told of as its own.
-        capture.n_frames = capture.n_frames.max(fusion.n_fused);
         if let Some(recorder) = self.threads.recorder {
             ended("recorder", recorder, outbox);
+        }
+        if let Some(sewing) = self.threads.sewing {
+            ended("sewing", sewing, outbox);
         }
         let refined =
             ended("refine", self.threads.refine, outbox).unwrap_or_else(|| RefineSummary {
@@ -117,6 +155,7 @@ impl Handle {
         }
         let endings = Endings {
             capture: &capture,
+            frames: &self.watch.status().frames,
             drops: &self.drops,
             fusion: &fusion,
             refined: &refined,

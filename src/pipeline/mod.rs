@@ -15,6 +15,16 @@ pub mod edges;
 mod handle;
 mod status;
 
+mod accounts;
+mod command;
+mod event_log;
+mod live;
+mod state;
+
+mod conditions;
+mod depth_statistics;
+mod standing;
+
 mod device_stage;
 mod fusion_stage;
 mod given_poses;
@@ -29,16 +39,28 @@ mod depth_correction;
 mod output_folder;
 mod pictures;
 mod report;
+mod threads;
 mod timing;
 
+pub use crate::{
+    capture::{DeviceHealth, Event, EventKind},
+    snapshot::SequenceStep,
+};
+pub use accounts::FrameAccounts;
+pub use command::{Command, CommandRefused};
 pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;
+pub use event_log::EventLog;
 pub use fusion_stage::FusedScan;
 pub use given_poses::GivenPoses;
 pub use handle::{Ending, Handle, Outcome, Watch};
+pub use live::{InterimScan, Live, LivePose, LiveSnapshot, LiveSurface, NextView, Preview};
 pub use output_folder::{OutputFolder, OutputFolderError};
 pub use recorded_scan::{RecordedScan, RecordedScanError};
-pub use status::{Phase, Status};
+pub use state::{Degradation, Fault, Loss, State};
+pub use status::{
+    MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
+};
 pub use timing::peak_memory_bytes;
 
 use crate::{
@@ -49,21 +71,20 @@ use crate::{
     shading::Calibration,
     snapshot::SnapshotParams,
 };
+use command::CommandDesk;
+use crossbeam::channel::Sender;
 use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use device_stage::DeviceSetup;
 use edges::DropCounts;
 use fusion_stage::FusionSetup;
 use handle::Threads;
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use live::surface::{self, SurfaceUpdate};
+use rayon::ThreadPoolBuildError;
 use refine_stage::RefineSetup;
 use report::Subject;
-use std::{
-    io,
-    num::NonZeroUsize,
-    sync::Arc,
-    thread::{self, JoinHandle},
-};
+use std::{io, num::NonZeroUsize, sync::Arc};
+use threads::{pool, spawn};
 
 /// Everything that a run needs to know; all parameters must have been validated.
 pub struct PipelineParams {
@@ -130,32 +151,49 @@ impl Pipeline {
         folder: OutputFolder,
     ) -> Result<Handle, SpawnError> {
         let subject = subject(&params, camera.info(), &folder);
-        let watch = watch(camera.info());
+        let (commands_in, commands_out) = edges::commands();
+        let watch = Watch {
+            desk: Some(CommandDesk::new(commands_in)),
+            ..watch(camera.info())
+        };
         let drops = Arc::new(DropCounts::default());
         let outbox = Arc::new(Outbox::new(folder.path()));
         let (outbox_of_recorder, outbox_of_refine) = (outbox.clone(), outbox.clone());
         let recorder = recorder(&params, camera.info(), &folder)?;
-        let fusion = fusion_setup(&params, camera.info(), &watch)?;
+        let (surfaces_in, surfaces_out) = edges::surfaces();
+        let fusion = fusion_setup(&params, camera.info(), &watch, surfaces_in, &folder)?;
         let refine = refine_setup(&params, camera.info(), &watch)?;
         let device = device_setup(&params, camera, &watch);
 
-        let (frames_in, frames_out) = edges::frames(params.when_full, &drops);
+        let (frames_in, frames_out) = edges::frames(params.when_full, &watch.status);
         let (recording_in, recording_out) = edges::recording(params.when_full, &drops);
-        let (tracked_in, tracked_out) = edges::tracked();
+        let (tracked_in, tracked_out) = edges::tracked(&watch.events);
         let (scans_in, scans_out) = edges::scans();
         let events_in = tracked_in.clone();
+        let live = watch.live.clone();
+        let (status, status_of_sewing) = (&watch.status, watch.status.clone());
+        let status_of_recorder = watch.status.clone();
 
         let threads = Threads {
-            device: Some(spawn("device", move || {
+            device: Some(spawn("device", status, move || {
                 device_stage::run(device, &frames_in, &recording_in, &events_in)
             })?),
-            fusion: spawn("fusion", move || {
-                fusion_stage::run(fusion, frames_out, tracked_in, scans_in)
+            fusion: spawn("fusion", status, move || {
+                fusion_stage::run(fusion, frames_out, &commands_out, tracked_in, scans_in)
             })?,
-            recorder: Some(spawn("recorder", move || {
-                recorder_stage::run(recorder, recording_out, tracked_out, &outbox_of_recorder)
+            recorder: Some(spawn("recorder", status, move || {
+                recorder_stage::run(
+                    recorder,
+                    recording_out,
+                    tracked_out,
+                    &outbox_of_recorder,
+                    &status_of_recorder,
+                )
             })?),
-            refine: spawn("refine", move || {
+            sewing: Some(spawn("sewing", status, move || {
+                surface::run(&surfaces_out, &live.surface, &status_of_sewing)
+            })?),
+            refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
         };
@@ -182,15 +220,24 @@ impl Pipeline {
     ) -> Result<Handle, SpawnError> {
         let RecordedScan { info, scan } = recorded;
         let watch = watch(&info);
+        // Frames that were fused before this run are told of as its own.
+        let n_fused = scan.world_from_cameras.len() as u64;
+        watch
+            .status
+            .update(|status| (status.frames.produced, status.frames.fused) = (n_fused, n_fused));
         let refine = refine_setup(&params, &info, &watch)?;
         let outbox = Arc::new(Outbox::new(folder.path()));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
+        let status = &watch.status;
         let threads = Threads {
             device: None,
-            fusion: spawn("fusion", move || fusion_stage::send(scan, &scans_in))?,
+            fusion: spawn("fusion", status, move || {
+                fusion_stage::send(scan, &scans_in)
+            })?,
             recorder: None,
-            refine: spawn("refine", move || {
+            sewing: None,
+            refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
             })?,
         };
@@ -203,21 +250,6 @@ impl Pipeline {
             folder,
         })
     }
-}
-
-/// Starts a thread; names have 15 bytes at most, which is what the system shows.
-fn spawn<T: Send + 'static>(
-    name: &str,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> io::Result<JoinHandle<T>> {
-    thread::Builder::new().name(name.to_owned()).spawn(body)
-}
-
-fn pool(name: &'static str, n_threads: NonZeroUsize) -> Result<ThreadPool, ThreadPoolBuildError> {
-    ThreadPoolBuilder::new()
-        .num_threads(n_threads.get())
-        .thread_name(move |index| format!("{name}-{index}"))
-        .build()
 }
 
 fn subject(params: &PipelineParams, info: &CameraInfo, folder: &OutputFolder) -> Subject {
@@ -266,7 +298,8 @@ fn device_setup(
         capture: params.capture.clone(),
         record: params.record,
         ir_offset: IrOffset::nearest(params.calibration.ir_offset_px),
-        stop: watch.stop.clone(),
+        end: watch.end.clone(),
+        status: watch.status.clone(),
     }
 }
 
@@ -274,6 +307,8 @@ fn fusion_setup(
     params: &PipelineParams,
     info: &CameraInfo,
     watch: &Watch,
+    surfaces: Sender<SurfaceUpdate>,
+    folder: &OutputFolder,
 ) -> Result<FusionSetup, ThreadPoolBuildError> {
     Ok(FusionSetup {
         info: info.clone(),
@@ -289,6 +324,9 @@ fn fusion_setup(
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),
+        live: watch.live.clone(),
+        surfaces,
+        folder: folder.path().to_owned(),
     })
 }
 

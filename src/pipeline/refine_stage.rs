@@ -241,13 +241,14 @@ fn run_refine(
     let mut first_energy = None;
     setup
         .status
-        .update(|status| status.rounds = (0, params.n_rounds + 1));
+        .update(|status| status.refinement.rounds = (0, params.n_rounds + 1));
     let progress = |iteration: &crate::refine::Iteration| {
         let first = *first_energy.get_or_insert(iteration.energy_before);
         setup.status.update(|status| {
-            status.rounds.0 = iteration.round + 1;
-            status.n_steps += 1;
-            status.energy_share = iteration.energy_after / first;
+            let refinement = &mut status.refinement;
+            refinement.rounds.0 = iteration.round + 1;
+            refinement.n_steps += 1;
+            refinement.energy_share = iteration.energy_after / first;
         });
         !setup.stop.is_stopped()
     };

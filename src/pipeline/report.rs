@@ -1,6 +1,7 @@
 //! The report of a run, put together from what every thread says at its end.
 
 use super::{
+    accounts::FrameAccounts,
     deliver::{Account, BASE_PLY, REFINED_PLY},
     edges::DropCounts,
     fusion_stage::FusionSummary,
@@ -38,7 +39,9 @@ pub struct Subject {
 pub struct Endings<'a> {
     /// The device thread.
     pub capture: &'a CaptureSummary,
-    /// What the edges dropped.
+    /// What became of the frames.
+    pub frames: &'a FrameAccounts,
+    /// What was not recorded.
     pub drops: &'a DropCounts,
     /// The fusion thread.
     pub fusion: &'a FusionSummary,
@@ -97,16 +100,17 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
 
 /// What became of the frames: every frame that the device delivered is counted once.
 pub fn frame_counts(endings: &Endings) -> FrameCounts {
-    let Endings {
-        capture, fusion, ..
-    } = endings;
+    let frames = endings.frames;
     FrameCounts {
-        total: capture.n_frames,
-        fused: fusion.n_fused,
-        lost: fusion.n_lost,
-        damaged: capture.n_damaged,
-        dropped: endings.drops.frames.load(Ordering::Relaxed),
-        without_depth: fusion.n_without_depth,
+        total: frames.produced,
+        fused: frames.fused,
+        lost: frames.lost,
+        damaged: frames.damaged,
+        dropped: frames.dropped,
+        without_depth: frames.without_depth,
+        paused: frames.paused,
+        // Nobody holds a frame any more: one that is still on its way is one that nobody accounts for.
+        unaccounted: frames.unaccounted() + frames.in_flight as i64,
     }
 }
 
@@ -150,6 +154,10 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
             "{n_unpolished} frames were fused at their given pose as it is: no pose within the bounds of fusion.polish fits \
              the model"
         ));
+    }
+    let unaccounted = frame_counts(endings).unaccounted;
+    if unaccounted != 0 {
+        warnings.push(format!("{unaccounted} frames are unaccounted for"));
     }
     warnings.extend(endings.fusion.refusal.clone());
     let whole = endings.refined.not_cropped_reason.as_ref();

@@ -1,5 +1,10 @@
-//! What the pipeline is doing, newest only, and the token that stops it.
+//! What the pipeline is doing, newest only, and the tokens that stop it.
 
+use super::{accounts::FrameAccounts, state::State};
+use crate::{
+    capture::DeviceHealth,
+    snapshot::{Guidance, SequenceStep},
+};
 use std::sync::{
     Arc, Mutex, PoisonError,
     atomic::{AtomicBool, Ordering},
@@ -19,31 +24,130 @@ pub enum Phase {
     Exporting,
 }
 
+impl Phase {
+    /// The phase's stable name.
+    pub fn code(self) -> &'static str {
+        match self {
+            Phase::Capturing => "capturing",
+            Phase::Meshing => "meshing",
+            Phase::Refining => "refining",
+            Phase::Exporting => "exporting",
+        }
+    }
+}
+
 /// What the pipeline is doing.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
     /// What it is busy with.
     pub phase: Phase,
+    /// What the operator is told.
+    pub state: State,
     /// Frames that will come, where that is known.
     pub n_announced: Option<usize>,
-    /// Frames handled by fusion, whatever became of them.
-    pub n_handled: u64,
-    /// Frames in the model.
-    pub n_fused: u64,
-    /// Frames during which tracking was lost.
-    pub n_lost: u64,
-    /// Whether tracking is lost now.
-    pub is_lost: bool,
+    /// What became of the frames so far.
+    pub frames: FrameAccounts,
+    /// Frames that fusion has handled a second, over the last second or so, paused ones too.
+    pub fps: f64,
     /// How far the last frame was from being lost, 0 to 1; `None` where nothing was tracked, as at given poses.
     pub fitness: Option<f64>,
-    /// Shading images so far.
-    pub n_snapshots: usize,
-    /// Outer rounds of refinement begun, of how many.
+    /// Share of the newest infrared image at full scale; `None` without infrared images.
+    pub ir_saturated_share: Option<f64>,
+    /// Whether the operator asked for a shading image that is not taken yet.
+    pub is_snapshotting: bool,
+    /// Shading images.
+    pub snapshots: SnapshotCounts,
+    /// Kinect I: how far the guided sequence of the next shading image is; `None` with other sensors.
+    pub kinect1_sequence: Option<SequenceStatus>,
+    /// How far refinement in this process is.
+    pub refinement: RefinementProgress,
+    /// What is being recorded.
+    pub recording: RecordingStatus,
+    /// The live mesh as it was extracted last; `None` as long as nobody looks.
+    pub mesh: Option<MeshStatus>,
+    /// Whether a part of the program ended by a fault of its own.
+    pub has_fault: bool,
+    /// How the device is doing.
+    pub device: DeviceHealth,
+    /// How often it stopped delivering and began again: frames before and after may show different places.
+    pub n_device_gaps: u64,
+}
+
+impl From<Guidance> for SequenceStatus {
+    fn from(guidance: Guidance) -> Self {
+        SequenceStatus {
+            step: guidance.step,
+            speckle: guidance.speckle,
+            speckle_limit: guidance.speckle_limit,
+        }
+    }
+}
+
+/// Shading images so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SnapshotCounts {
+    /// Images that are kept at present.
+    pub accepted: usize,
+    /// Infrared frames that were considered and are not among them.
+    pub rejected: usize,
+    /// Images that a scan keeps at most; 0 if the camera gives none.
+    pub wanted: usize,
+}
+
+/// The guided sequence of a Kinect I.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SequenceStatus {
+    /// What the operator is to do next.
+    pub step: SequenceStep,
+    /// Speckle energy of the newest infrared image, share of the local mean.
+    pub speckle: f64,
+    /// From this energy on an image shows the projector's speckle.
+    pub speckle_limit: f64,
+}
+
+/// How far refinement is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RefinementProgress {
+    /// Outer rounds begun, of how many.
     pub rounds: (usize, usize),
-    /// Steps of refinement made.
+    /// Steps made.
     pub n_steps: usize,
     /// Energy of the last step, share of the first.
     pub energy_share: f64,
+}
+
+/// What is being recorded beside the scan.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RecordingStatus {
+    /// Whether frames are being recorded now.
+    pub active: bool,
+    /// Bytes written.
+    pub bytes: u64,
+    /// Frames recorded.
+    pub recorded: u64,
+    /// Frames recorded without their infrared image.
+    pub dropped_ir: u64,
+    /// Frames not recorded because the disk was too slow.
+    pub dropped_frames: u64,
+    /// Room on the disk; `None` where that was not asked.
+    pub disk_free_bytes: Option<u64>,
+    /// Below this room recording stops.
+    pub disk_floor_bytes: u64,
+    /// Why recording stopped before the scan did; `None` as long as it goes on.
+    pub reason: Option<String>,
+    /// Whether something of the scan itself could not be written.
+    pub has_failed: bool,
+}
+
+/// The size of a mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MeshStatus {
+    /// Rises with every change.
+    pub revision: u32,
+    /// How many vertices.
+    pub vertices: usize,
+    /// How many faces.
+    pub faces: usize,
 }
 
 /// Where the stages leave their status and everybody reads the newest.
@@ -54,7 +158,8 @@ impl StatusSlot {
     /// The newest status.
     pub fn get(&self) -> Status {
         // A status is a plain value: one that a panic left behind is as good as any.
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        let status = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        status.clone()
     }
 
     /// Changes the status.
@@ -63,7 +168,7 @@ impl StatusSlot {
     }
 }
 
-/// Set once by whoever wants the pipeline to stop; every long loop looks at it.
+/// Set once by whoever wants something to stop; every long loop looks at it.
 #[derive(Clone, Debug, Default)]
 pub struct StopToken(Arc<AtomicBool>);
 

@@ -9,7 +9,7 @@ use super::rejection::{RejectReason, Rejection};
 use depth_camera::Image;
 
 /// From this share of full scale a pixel counts as saturated; as in refinement.
-pub(super) const SATURATION: f64 = 0.985;
+pub const SATURATION: f64 = 0.985;
 /// Side of the tiles, pixels.
 const TILE: usize = 8;
 /// Tiles darker than this share of full scale are not compared.
@@ -101,9 +101,13 @@ impl Agreeing<'_> {
 }
 
 /// Share of the pixels at full scale.
-pub(super) fn saturated_share(counts: &Image<f32>, full_scale: f64) -> f64 {
+pub fn saturated_share<T: Copy + Into<f32>>(counts: &Image<T>, full_scale: f64) -> f64 {
     let limit = (SATURATION * full_scale) as f32;
-    let n_saturated = counts.data().iter().filter(|c| **c >= limit).count();
+    let n_saturated = counts
+        .data()
+        .iter()
+        .filter(|c| (**c).into() >= limit)
+        .count();
     n_saturated as f64 / counts.data().len().max(1) as f64
 }
 

@@ -10,7 +10,7 @@ use super::ShadingSnapshot;
 use super::exposures::SATURATION;
 use crate::fusion::ModelMap;
 use depth_camera::CameraInfo;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Point3, Vector3};
 
 /// Pixels darker than this share of full scale carry more noise than shading.
 const DARKEST: f64 = 0.005;
@@ -22,7 +22,7 @@ const PATCH_M: f64 = 0.02;
 /// 6.9°; 12 views gave 8.5°, 7.3° and 7.2°. Cells of 0.15 gave 6.7° with 36 views, but 7.8° with 12.
 const LIGHT_CELL: f64 = 0.25;
 /// The surface is looked at about every so many pixels of the full image, along rows and columns.
-const SAMPLE_PX: usize = 4;
+pub(super) const SAMPLE_PX: usize = 4;
 /// Refinement is of the object that the operator points at: a pixel counts by a Gaussian of its angle to the optical axis
 /// with this deviation, 8°: 84 mm at 0.6 m. Arbitrary.
 const ATTENTION_RAD: f64 = 0.14;
@@ -65,15 +65,38 @@ impl Optics {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct PatchKey(u64);
 
+/// A patch whatever side it is lit from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct SurfaceKey(u64);
+
+impl SurfaceKey {
+    /// The patch at a place that faces along an axis.
+    pub(super) fn of(point_world: &Vector3<f64>, normal_world: &Vector3<f64>, axis: usize) -> Self {
+        SurfaceKey(place(point_world) << 3 | face(normal_world, axis))
+    }
+}
+
 impl PatchKey {
     fn of(point_world: &Vector3<f64>, normal_world: &Vector3<f64>, l_world: &Vector3<f64>) -> Self {
-        // 16 bits of 20 mm reach 650 m to either side; a unit vector needs 4 bits of cells.
-        let place = cells(point_world, PATCH_M, 16);
+        // A unit vector needs 4 bits of cells.
         let side = cells(l_world, LIGHT_CELL, 4);
-        let axis = normal_world.iamax();
-        let face = 2 * axis as u64 + u64::from(normal_world[axis] > 0.0);
-        PatchKey(place << 15 | side << 3 | face)
+        let face = face(normal_world, normal_world.iamax());
+        PatchKey(place(point_world) << 15 | side << 3 | face)
     }
+
+    /// The patch without the side.
+    pub(super) fn surface(self) -> SurfaceKey {
+        SurfaceKey(self.0 >> 15 << 3 | self.0 & 7)
+    }
+}
+
+/// 16 bits a coordinate: with 20 mm they reach 650 m to either side.
+fn place(point_world: &Vector3<f64>) -> u64 {
+    cells(point_world, PATCH_M, 16)
+}
+
+fn face(normal_world: &Vector3<f64>, axis: usize) -> u64 {
+    2 * axis as u64 + u64::from(normal_world[axis] > 0.0)
 }
 
 /// The cell of a grid round the origin that a vector lies in, `n_bits` a coordinate.
@@ -108,6 +131,32 @@ impl Information {
 
     pub(super) fn minus(&self, other: &Information) -> Information {
         Information(std::array::from_fn(|i| self.0[i] - other.0[i]))
+    }
+
+    fn matrix(&self) -> Matrix3<f64> {
+        let [xx, xy, xz, yy, yz, zz] = self.0;
+        Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    }
+
+    /// The tilt that is known least, as a unit vector in a patch's plane, and how well it is known; `None` where the plane
+    /// is none. Where nothing is known all tilts are alike, and it is any.
+    pub(super) fn least_tilt(&self, normal: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
+        let least_axis = Vector3::ith(normal.iamin(), 1.0);
+        let first = normal.cross(&least_axis).try_normalize(0.0)?;
+        let second = normal.cross(&first).try_normalize(0.0)?;
+        let matrix = self.matrix();
+        let between = |a: &Vector3<f64>, b: &Vector3<f64>| a.dot(&(matrix * b));
+        let in_plane = Matrix2::new(
+            between(&first, &first),
+            between(&first, &second),
+            between(&second, &first),
+            between(&second, &second),
+        );
+        let eigen = in_plane.symmetric_eigen();
+        let least = eigen.eigenvalues.imin();
+        let vector = eigen.eigenvectors.column(least);
+        let tilt = first * vector.x + second * vector.y;
+        Some((tilt, eigen.eigenvalues[least].max(0.0)))
     }
 
     /// Determinant of the identity plus this; at least 1 but for rounding.
@@ -158,7 +207,7 @@ pub(super) fn view_information(
             if normal == Vector3::zeros() || cos_axis < min_cos_axis {
                 continue;
             }
-            let attention = (-0.5 * (cos_axis.acos() / ATTENTION_RAD).powi(2)).exp();
+            let attention = attention(cos_axis);
             target += point * attention;
             weights += attention;
 
@@ -184,6 +233,11 @@ pub(super) fn view_information(
         patches: by_patch(samples),
         target_world: (weights > 0.0).then(|| Point3::from(target / weights)),
     }
+}
+
+/// How much a pixel at this cosine to the optical axis counts.
+pub(super) fn attention(cos_axis: f64) -> f64 {
+    (-0.5 * (cos_axis.min(1.0).acos() / ATTENTION_RAD).powi(2)).exp()
 }
 
 /// Adds up the samples of each patch.

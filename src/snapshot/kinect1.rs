@@ -6,10 +6,11 @@
 //! took the trouble to hold is kept, however little it adds.
 
 use super::exposures::{Agreeing, Exposure, agreeing, saturated_share};
+use super::guide::{Guidance, Guide};
 use super::information::{Optics, ViewInformation, view_information};
 use super::pool::Pool;
 use super::rejection::{RejectReason, Rejection};
-use super::speckle::texture;
+use super::speckle::{Texture, texture};
 use super::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
 use crate::fusion::{ModelMap, TrackingOutcome};
 use crate::geometry::{Pose, mean_pose, motion_between};
@@ -28,6 +29,9 @@ pub(super) struct ShadingSequence {
     exposures: Vec<Exposure>,
     pool: Pool,
     rejected: Vec<Rejection>,
+    guide: Guide,
+    /// Whether the operator asked for the next group.
+    is_requested: bool,
 }
 
 /// A tracked frame.
@@ -46,18 +50,26 @@ impl ShadingSequence {
             before: None,
             exposures: Vec::new(),
             rejected: Vec::new(),
+            guide: Guide::default(),
+            is_requested: false,
         }
     }
 
     pub(super) fn observe(&mut self, tracked: &TrackedFrame) {
         let frame = tracked.frame;
         let covered = depth_share(frame) <= self.params.max_covered_depth_share;
+        let texture = frame
+            .ir
+            .as_ref()
+            .map(|ir| texture(ir, self.optics.full_scale));
         match *tracked.outcome {
             TrackingOutcome::Tracked {
                 world_from_camera, ..
             } => {
                 self.close(&world_from_camera, tracked.model);
-                self.refuse_uncovered(frame);
+                self.refuse_uncovered(frame, texture.as_ref());
+                self.guide
+                    .tracked(&world_from_camera, frame.device_time_secs);
                 self.before = frame.depth.clone().map(|depth_m| Placed {
                     device_time_secs: frame.device_time_secs,
                     world_from_camera,
@@ -66,21 +78,67 @@ impl ShadingSequence {
             }
             TrackingOutcome::Lost(_) if !covered => {
                 self.abandon(RejectReason::LostAfter);
-                self.refuse_uncovered(frame);
+                self.refuse_uncovered(frame, texture.as_ref());
+                self.guide.lost();
                 self.before = None;
             }
-            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth if covered => self.expose(frame),
-            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth => self.refuse_uncovered(frame),
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth if covered => {
+                self.expose(frame, texture.as_ref());
+            }
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth => {
+                self.refuse_uncovered(frame, texture.as_ref());
+            }
         }
+        if let Some(texture) = &texture {
+            self.guide.saw(texture);
+        }
+    }
+
+    pub(super) fn pool(&self) -> &Pool {
+        &self.pool
+    }
+
+    pub(super) fn rejected(&self) -> &[Rejection] {
+        &self.rejected
+    }
+
+    pub(super) fn guidance(&self) -> Guidance {
+        self.guide.guidance()
+    }
+
+    /// Whether exposures of a pose are being taken.
+    pub(super) fn is_exposing(&self) -> bool {
+        !self.exposures.is_empty()
+    }
+
+    pub(super) fn request(&mut self, is_requested: bool) {
+        self.is_requested = is_requested;
+    }
+
+    pub(super) fn is_requested(&self) -> bool {
+        self.is_requested
+    }
+
+    pub(super) fn forget_after(&mut self, after_secs: f64) {
+        self.pool.forget_after(after_secs);
+        self.exposures.clear();
+        self.before = None;
+        self.guide.lost();
     }
 
     pub(super) fn n_accepted(&self) -> usize {
         self.pool.len().min(self.params.max_snapshots)
     }
 
+    /// How many images are chosen at most, and that the last of them need add nothing.
+    pub(super) fn bounds(&self) -> (usize, f64) {
+        (self.params.max_snapshots, 0.0)
+    }
+
     pub(super) fn finish(mut self) -> SnapshotSelection {
         self.abandon(RejectReason::Unfinished);
-        let (accepted, outdone) = self.pool.choose(self.params.max_snapshots, 0.0);
+        let (n, min_gain_share) = self.bounds();
+        let (accepted, outdone) = self.pool.choose(n, min_gain_share);
         self.rejected.extend(outdone);
         self.rejected.sort_by_key(|rejection| rejection.frame_id);
         SnapshotSelection {
@@ -90,9 +148,10 @@ impl ShadingSequence {
     }
 
     /// Takes in a frame without depth: an exposure, if the lamp and nothing else lights it.
-    fn expose(&mut self, frame: &Frame) {
-        let Some(ir) = &frame.ir else { return };
-        let texture = texture(ir, self.optics.full_scale);
+    fn expose(&mut self, frame: &Frame, texture: Option<&Texture>) {
+        let (Some(ir), Some(texture)) = (&frame.ir, texture) else {
+            return;
+        };
         let reason = if texture.is_speckled() {
             RejectReason::Speckle {
                 energy: texture.speckle_energy,
@@ -111,15 +170,22 @@ impl ShadingSequence {
                 device_time_secs: frame.device_time_secs,
                 counts: ir.clone(),
             });
+            self.follow_cover(texture);
             return;
         };
+        self.follow_cover(texture);
         self.reject(frame.frame_id, reason);
     }
 
+    fn follow_cover(&mut self, texture: &Texture) {
+        let n_exposures = self.exposures.len();
+        self.guide
+            .covered(texture, n_exposures, self.params.min_exposures);
+    }
+
     /// Says why the IR image of a frame with depth is none under the lamp.
-    fn refuse_uncovered(&mut self, frame: &Frame) {
-        let Some(ir) = &frame.ir else { return };
-        let texture = texture(ir, self.optics.full_scale);
+    fn refuse_uncovered(&mut self, frame: &Frame, texture: Option<&Texture>) {
+        let Some(texture) = texture else { return };
         let reason = match texture.is_speckled() {
             true => RejectReason::Speckle {
                 energy: texture.speckle_energy,
@@ -148,7 +214,12 @@ impl ShadingSequence {
                 let view = model.map_or_else(ViewInformation::default, |model| {
                     view_information(&snapshot, model, &self.optics)
                 });
-                self.rejected.extend(self.pool.offer(snapshot, &view));
+                let is_requested = std::mem::take(&mut self.is_requested);
+                let outdone = match is_requested {
+                    true => self.pool.pin(snapshot, &view),
+                    false => self.pool.offer(snapshot, &view),
+                };
+                self.rejected.extend(outdone);
             }
             Err(reason) => {
                 for exposure in agreeing.exposures {

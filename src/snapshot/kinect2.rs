@@ -17,6 +17,8 @@ pub(super) struct EmitterStream {
     pool: Pool,
     last: Option<Placed>,
     rejected: Vec<Rejection>,
+    /// Whether the operator asked for the next good frame.
+    is_requested: bool,
 }
 
 /// Where the camera was, and when.
@@ -34,6 +36,7 @@ impl EmitterStream {
             params,
             last: None,
             rejected: Vec::new(),
+            is_requested: false,
         }
     }
 
@@ -41,7 +44,10 @@ impl EmitterStream {
         let outcome = self.judge(tracked);
         let rejection = match outcome {
             Ok(None) => None,
-            Ok(Some((snapshot, view))) => self.pool.offer(snapshot, &view),
+            Ok(Some((snapshot, view))) => match std::mem::take(&mut self.is_requested) {
+                true => self.pool.pin(snapshot, &view),
+                false => self.pool.offer(snapshot, &view),
+            },
             Err(reason) => Some(Rejection {
                 frame_id: tracked.frame.frame_id,
                 reason,
@@ -50,15 +56,39 @@ impl EmitterStream {
         self.rejected.extend(rejection);
     }
 
+    pub(super) fn pool(&self) -> &Pool {
+        &self.pool
+    }
+
+    pub(super) fn rejected(&self) -> &[Rejection] {
+        &self.rejected
+    }
+
+    pub(super) fn request(&mut self, is_requested: bool) {
+        self.is_requested = is_requested;
+    }
+
+    pub(super) fn is_requested(&self) -> bool {
+        self.is_requested
+    }
+
+    pub(super) fn forget_after(&mut self, after_secs: f64) {
+        self.pool.forget_after(after_secs);
+        self.last = None;
+    }
+
     pub(super) fn n_accepted(&self) -> usize {
         self.pool.len().min(self.params.max_snapshots)
     }
 
+    /// How many images are chosen at most, and what the last of them must add.
+    pub(super) fn bounds(&self) -> (usize, f64) {
+        (self.params.max_snapshots, self.params.min_gain_share)
+    }
+
     pub(super) fn finish(mut self) -> SnapshotSelection {
-        let params = &self.params;
-        let (accepted, outdone) = self
-            .pool
-            .choose(params.max_snapshots, params.min_gain_share);
+        let (n, min_gain_share) = self.bounds();
+        let (accepted, outdone) = self.pool.choose(n, min_gain_share);
         self.rejected.extend(outdone);
         self.rejected.sort_by_key(|rejection| rejection.frame_id);
         SnapshotSelection {

@@ -16,15 +16,24 @@ mod params;
 mod rejection;
 
 mod exposures;
+mod guide;
 mod information;
 mod pool;
 mod speckle;
+
+mod coverage;
+mod next_view;
+mod progress;
 
 #[cfg(test)]
 mod bench_tests;
 #[cfg(test)]
 mod scenes;
 
+pub use coverage::Coverage;
+pub use exposures::{SATURATION, saturated_share};
+pub use guide::Guidance;
+pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
 pub use rejection::{RejectReason, Rejection};
 
@@ -72,8 +81,38 @@ pub struct SnapshotSelection {
     pub rejected: Vec<Rejection>,
 }
 
+/// What the operator of a Kinect I is to do next for a shading image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SequenceStep {
+    /// Move to where the next shading image is to be taken.
+    #[default]
+    Track,
+    /// Hold still there.
+    HoldStill,
+    /// Cover the projector.
+    CoverProjector,
+    /// Light the lamp.
+    LampOn,
+    /// Enough exposures: uncover the projector again.
+    Uncover,
+}
+
+impl SequenceStep {
+    /// The step's stable name.
+    pub fn code(self) -> &'static str {
+        match self {
+            SequenceStep::Track => "track",
+            SequenceStep::HoldStill => "hold_still",
+            SequenceStep::CoverProjector => "cover_projector",
+            SequenceStep::LampOn => "lamp_on",
+            SequenceStep::Uncover => "uncover",
+        }
+    }
+}
+
 /// Chooses shading images while a scan goes on; the same frames give the same selection.
 pub struct SnapshotSelector {
+    optics: Optics,
     method: Method,
 }
 
@@ -91,7 +130,7 @@ impl SnapshotSelector {
             Sensor::Kinect1 => Method::Sequence(ShadingSequence::new(optics, params)),
             Sensor::Kinect2 => Method::Stream(EmitterStream::new(optics, params)),
         };
-        Some(SnapshotSelector { method })
+        Some(SnapshotSelector { optics, method })
     }
 
     /// Takes in the next frame of the stream.

@@ -3,12 +3,13 @@
 //! A set of views is worth `Σ log det(I + A)` over the patches and the sides that light comes from, with A the information
 //! summed over the views: the first view from a new side is worth much, the tenth alike little. That worth is submodular,
 //! so taking the best next view again and again is within a factor 1 − 1/e of the best set. While the scan goes on, the
-//! candidate whose removal loses least makes room.
+//! candidate whose removal loses least makes room. What the operator asked for is *pinned*: it is kept and chosen first.
 
-use super::ShadingSnapshot;
+use super::coverage::Coverage;
 use super::information::{Information, PatchKey, ViewInformation};
 use super::rejection::{RejectReason, Rejection};
-use std::collections::BTreeMap;
+use super::{ShadingSnapshot, SnapshotSelection};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Determinants multiplied before a logarithm is taken; they stay below 1e12 each, their product far from overflow.
 const PER_LOGARITHM: usize = 16;
@@ -28,6 +29,8 @@ pub(super) struct Pool {
 
 struct Candidate {
     snapshot: ShadingSnapshot,
+    /// Whether the operator asked for it.
+    is_pinned: bool,
     /// By patch number.
     information: Vec<(usize, Information)>,
 }
@@ -54,6 +57,24 @@ impl Pool {
         snapshot: ShadingSnapshot,
         view: &ViewInformation,
     ) -> Option<Rejection> {
+        self.take(snapshot, view, false)
+    }
+
+    /// Takes a candidate in that stays, however little it adds.
+    pub(super) fn pin(
+        &mut self,
+        snapshot: ShadingSnapshot,
+        view: &ViewInformation,
+    ) -> Option<Rejection> {
+        self.take(snapshot, view, true)
+    }
+
+    fn take(
+        &mut self,
+        snapshot: ShadingSnapshot,
+        view: &ViewInformation,
+        is_pinned: bool,
+    ) -> Option<Rejection> {
         let information: Vec<_> = view
             .patches
             .iter()
@@ -61,6 +82,7 @@ impl Pool {
             .collect();
         let candidate = Candidate {
             snapshot,
+            is_pinned,
             information,
         };
         self.worth += gain(&candidate, &self.total);
@@ -82,57 +104,141 @@ impl Pool {
 
     fn evict(&mut self) -> Rejection {
         let losses = self.candidates.iter().map(|c| loss(c, &self.total));
+        // Pinned ones make room only where there are no others.
+        let pinned = |index: usize| self.candidates[index].is_pinned;
         let (least, loss) = losses
             .enumerate()
-            .min_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+            .min_by(|a, b| {
+                let free_first = pinned(a.0).cmp(&pinned(b.0));
+                free_first.then(a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+            })
             .expect("a full pool holds a candidate");
         let rejection = redundant(&self.candidates[least], loss, self.worth);
-        let candidate = self.candidates.remove(least);
+        self.remove(least, loss);
+        rejection
+    }
+
+    fn remove(&mut self, index: usize, loss: f64) {
+        let candidate = self.candidates.remove(index);
         for (patch, information) in &candidate.information {
             self.total[*patch] = self.total[*patch].minus(information);
         }
         self.worth -= loss;
-        rejection
+    }
+
+    /// Forgets the candidates that are later than `after_secs` of the device's clock.
+    pub(super) fn forget_after(&mut self, after_secs: f64) {
+        for index in (0..self.candidates.len()).rev() {
+            if self.candidates[index].snapshot.device_time_secs > after_secs {
+                let loss = loss(&self.candidates[index], &self.total);
+                self.remove(index, loss);
+            }
+        }
+    }
+
+    /// What all candidates tell of the surface together.
+    pub(super) fn coverage(&self) -> Coverage {
+        Coverage::of(
+            self.patch_of
+                .iter()
+                .map(|(key, number)| (*key, self.total[*number])),
+        )
     }
 
     /// The best `n` candidates, in order of time, and why the others are not among them. Ends early when the next one would
     /// add less than `min_gain_share` of the information chosen; with 0 it never does.
     pub(super) fn choose(
-        mut self,
+        self,
         n: usize,
         min_gain_share: f64,
     ) -> (Vec<ShadingSnapshot>, Vec<Rejection>) {
-        let mut chosen = Vec::new();
+        let Choice { chosen, outdone } = self.choice(n, min_gain_share);
+        let candidates = self.candidates.into_iter().enumerate();
+        let chosen = candidates.filter(|(index, _)| chosen.contains(index));
+        let chosen = chosen.map(|(_, candidate)| candidate.snapshot);
+        (in_order_of_time(chosen.collect()), outdone)
+    }
+
+    /// What [`Self::choose`] would choose now, copied.
+    pub(super) fn chosen(&self, n: usize, min_gain_share: f64) -> SnapshotSelection {
+        let Choice { chosen, outdone } = self.choice(n, min_gain_share);
+        let chosen = chosen
+            .iter()
+            .map(|&index| self.candidates[index].snapshot.clone());
+        SnapshotSelection {
+            accepted: in_order_of_time(chosen.collect()),
+            rejected: outdone,
+        }
+    }
+
+    /// All candidates in order of arrival, with why each would not be chosen now.
+    pub(super) fn held(
+        &self,
+        n: usize,
+        min_gain_share: f64,
+    ) -> Vec<(&ShadingSnapshot, Option<RejectReason>)> {
+        let Choice { chosen, outdone } = self.choice(n, min_gain_share);
+        let mut outdone = outdone.into_iter();
+        let candidates = self.candidates.iter().enumerate();
+        candidates
+            .map(|(index, candidate)| {
+                let reason = match chosen.contains(&index) {
+                    true => None,
+                    false => outdone.next().map(|rejection| rejection.reason),
+                };
+                (&candidate.snapshot, reason)
+            })
+            .collect()
+    }
+
+    fn choice(&self, n: usize, min_gain_share: f64) -> Choice {
+        let mut chosen = BTreeSet::new();
         let mut information = vec![Information::default(); self.total.len()];
         let mut worth = 0.0;
         while chosen.len() < n {
-            let gains = self.candidates.iter().map(|c| gain(c, &information));
-            // The first of equals.
-            let best = gains
-                .enumerate()
-                .max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+            let left = self.candidates.iter().enumerate();
+            let gains = left
+                .filter(|(index, _)| !chosen.contains(index))
+                .map(|(index, c)| (index, gain(c, &information)));
+            // Pinned ones first; the first of equals.
+            let pinned = |index: usize| self.candidates[index].is_pinned;
+            let best = gains.max_by(|a, b| {
+                let pinned_first = pinned(a.0).cmp(&pinned(b.0));
+                pinned_first.then(a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+            });
             let Some((best, gain)) = best else { break };
-            if gain < min_gain_share * (worth + gain) {
+            if !pinned(best) && gain < min_gain_share * (worth + gain) {
                 break;
             }
             worth += gain;
-            let candidate = self.candidates.remove(best);
-            for (patch, added) in &candidate.information {
+            for (patch, added) in &self.candidates[best].information {
                 information[*patch] = information[*patch].plus(added);
             }
-            chosen.push(candidate.snapshot);
+            chosen.insert(best);
         }
-        chosen.sort_by(|a, b| a.device_time_secs.total_cmp(&b.device_time_secs));
-        let rejected = self
-            .candidates
-            .iter()
-            .map(|c| {
+        let left = self.candidates.iter().enumerate();
+        let outdone = left
+            .filter(|(index, _)| !chosen.contains(index))
+            .map(|(_, c)| {
                 let gain = gain(c, &information);
                 redundant(c, gain, worth + gain)
             })
             .collect();
-        (chosen, rejected)
+        Choice { chosen, outdone }
     }
+}
+
+/// A choice among the candidates.
+struct Choice {
+    /// By their place in the pool.
+    chosen: BTreeSet<usize>,
+    /// Why the others are not among them, in order of arrival.
+    outdone: Vec<Rejection>,
+}
+
+fn in_order_of_time(mut chosen: Vec<ShadingSnapshot>) -> Vec<ShadingSnapshot> {
+    chosen.sort_by(|a, b| a.device_time_secs.total_cmp(&b.device_time_secs));
+    chosen
 }
 
 /// `worth` includes the candidate.

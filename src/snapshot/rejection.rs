@@ -82,6 +82,57 @@ pub enum RejectReason {
     Unfinished,
 }
 
+impl RejectReason {
+    /// The reason's stable name, as in its JSON.
+    pub fn code(&self) -> &'static str {
+        match self {
+            RejectReason::NotTracked => "not_tracked",
+            RejectReason::NoDepth => "no_depth",
+            RejectReason::TooFast { .. } => "too_fast",
+            RejectReason::Saturated { .. } => "saturated",
+            RejectReason::NoInformation => "no_information",
+            RejectReason::Redundant { .. } => "redundant",
+            RejectReason::Speckle { .. } => "speckle",
+            RejectReason::Dark { .. } => "dark",
+            RejectReason::Uncovered { .. } => "uncovered",
+            RejectReason::NotStill { .. } => "not_still",
+            RejectReason::Changed { .. } => "changed",
+            RejectReason::FewExposures { .. } => "few_exposures",
+            RejectReason::Surplus => "surplus",
+            RejectReason::LostAfter => "lost_after",
+            RejectReason::Unfinished => "unfinished",
+        }
+    }
+
+    /// What the operator can do, as a sentence.
+    pub fn advice(&self) -> &'static str {
+        match self {
+            RejectReason::NotTracked => "Wait until the camera is tracked.",
+            RejectReason::NoDepth => "Point the camera at the object, within range.",
+            RejectReason::TooFast { .. } => "Move more slowly, or stop for a moment.",
+            RejectReason::Saturated { .. } => {
+                "Go farther away, or tilt the camera against the surface."
+            }
+            RejectReason::NoInformation => "Point the camera at the object, not past it.",
+            RejectReason::Redundant { .. } => "Look at the object from another side.",
+            RejectReason::Speckle { .. } | RejectReason::Uncovered { .. } => {
+                "Cover the projector before the picture."
+            }
+            RejectReason::Dark { .. } => "Light the lamp.",
+            RejectReason::NotStill { .. } => {
+                "Hold still from before the projector is covered until it is free again."
+            }
+            RejectReason::Changed { .. } => {
+                "Keep camera, lamp and object still during the exposures."
+            }
+            RejectReason::FewExposures { .. } => "Keep the projector covered a little longer.",
+            RejectReason::Surplus => "Uncover the projector: this pose is done.",
+            RejectReason::LostAfter => "Uncover the projector without moving the camera.",
+            RejectReason::Unfinished => "Uncover the projector before the scan ends.",
+        }
+    }
+}
+
 impl fmt::Display for RejectReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
@@ -159,5 +210,6 @@ mod tests {
             serde_json::to_string(&rejection).unwrap(),
             r#"{"frame_id":7,"reason":"speckle","energy":0.5}"#
         );
+        assert_eq!(rejection.reason.code(), "speckle");
     }
 }

@@ -8,7 +8,7 @@ const TILE: usize = 8;
 const LIT: f64 = 0.04;
 /// From this energy on an image is speckled. Recorded images of a wall, a sphere and a pot have 0.378 to 0.456 under the
 /// projector and 0.016 to 0.040 under the lamp; this is the geometric middle of the gap.
-const SPECKLED: f64 = 0.12;
+pub(super) const SPECKLED: f64 = 0.12;
 /// With less than this share of lit tiles nothing but noise is there. Under the lamp 0.45 and more is lit; arbitrary.
 const MIN_LIT_SHARE: f64 = 0.03;
 

@@ -9,6 +9,7 @@ mod bad_input;
 mod bench;
 mod calibrate;
 mod delivery;
+mod live;
 mod signals;
 
 mod support;

@@ -1,30 +1,13 @@
 //! A signal ends a run in order.
 
-use crate::support::{PROGRAM, Workbench};
+use crate::support::{PROGRAM, Workbench, poll};
 use serde_json::Value;
 use std::{
     fmt::Write,
     fs,
     path::Path,
     process::{Child, Command, Stdio},
-    thread,
-    time::{Duration, Instant},
 };
-
-/// Generous: a busy machine is no fault.
-const GRACE: Duration = Duration::from_secs(30);
-
-/// Looks again and again until there is an answer.
-fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let deadline = Instant::now() + GRACE;
-    loop {
-        if let Some(answer) = look() {
-            return answer;
-        }
-        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
-        thread::sleep(Duration::from_millis(10));
-    }
-}
 
 /// Lists the images of a recording over and over, a minute long.
 fn prolong(session: &Path) {
@@ -80,10 +63,18 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
         let frames = &report["frames"];
         let count = |key: &str| frames[key].as_u64().unwrap();
         assert!(count("total") < 1800);
-        let accounted = ["fused", "lost", "damaged", "dropped", "without_depth"]
-            .iter()
-            .map(|key| count(key))
-            .sum::<u64>();
+        let accounted = [
+            "fused",
+            "lost",
+            "damaged",
+            "dropped",
+            "without_depth",
+            "paused",
+        ]
+        .iter()
+        .map(|key| count(key))
+        .sum::<u64>();
         assert_eq!(accounted, count("total"));
+        assert_eq!(frames["unaccounted"], 0);
     }
 }

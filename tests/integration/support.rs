@@ -9,7 +9,8 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
-    time::Duration,
+    thread,
+    time::{Duration, Instant},
 };
 
 /// A Kinect II with larger pixels, led round the plaque.
@@ -90,6 +91,21 @@ impl Workbench {
             .args(arguments)
             .output()
             .unwrap()
+    }
+}
+
+/// Generous: a busy machine is no fault.
+const GRACE: Duration = Duration::from_secs(30);
+
+/// Looks again and again until there is an answer.
+pub fn poll<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + GRACE;
+    loop {
+        if let Some(answer) = look() {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{what} took more than {GRACE:?}");
+        thread::sleep(Duration::from_millis(10));
     }
 }
 

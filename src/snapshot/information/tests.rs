@@ -3,7 +3,6 @@
 use super::*;
 use crate::snapshot::scenes::{self, Plane};
 use depth_camera::Sensor;
-use nalgebra::Matrix3;
 
 fn trace(view: &ViewInformation) -> f64 {
     let sums = view.patches.iter().map(|(_, i)| i.0[0] + i.0[3] + i.0[5]);

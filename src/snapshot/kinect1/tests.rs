@@ -248,3 +248,33 @@ fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
             .all(|r| matches!(r.reason, RejectReason::Speckle { .. }))
     );
 }
+
+#[test]
+fn the_operator_is_led_through_the_sequence() {
+    use crate::snapshot::SequenceStep::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let mut selector = SnapshotSelector::new(&info, SnapshotParams::default()).unwrap();
+    let mut frame_id = 0;
+    let mut step_after = |n: u64, shows: fn(u64) -> Shows| {
+        for _ in 0..n {
+            observe(&mut selector, frame_id, shows(frame_id));
+            frame_id += 1;
+        }
+        let guidance = selector.guidance().expect("a Kinect I");
+        (guidance.step, guidance.speckle < guidance.speckle_limit)
+    };
+    // 1 cm a frame, then still: frames are 1/30 s apart.
+    assert_eq!(
+        step_after(5, |frame| Shows::Depth(0.01 * frame as f64)).0,
+        Track
+    );
+    assert_eq!(step_after(10, |_| Shows::Depth(0.04)).0, HoldStill);
+    assert_eq!(step_after(25, |_| Shows::Depth(0.04)).0, CoverProjector);
+    // Depth is gone and the speckle is not: covered badly, or out of range.
+    assert_eq!(step_after(1, |_| Shows::Speckle), (CoverProjector, false));
+    assert_eq!(step_after(2, |_| Shows::Nothing), (LampOn, true));
+    assert_eq!(step_after(1, |_| Shows::Lamp(400)).0, LampOn);
+    assert_eq!(step_after(1, |_| Shows::Lamp(400)).0, Uncover);
+    assert_eq!(step_after(1, |_| Shows::Depth(0.04)).0, CoverProjector);
+    assert_eq!(step_after(1, |_| Shows::Strange).0, Track);
+}

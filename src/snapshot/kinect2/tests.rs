@@ -131,3 +131,46 @@ fn a_scan_of_a_plaque_gives_views_from_both_sides() {
     assert!(azimuths.iter().any(|a| *a < -20.0), "{azimuths:?}");
     assert!(azimuths.iter().any(|a| *a > 20.0), "{azimuths:?}");
 }
+
+#[test]
+fn an_image_that_is_asked_for_waits_for_a_good_frame() {
+    let info = scenes::camera_info(Sensor::Kinect2);
+    let params = SnapshotParams {
+        max_snapshots: 1,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    let observe = |selector: &mut SnapshotSelector, frame_id: u64, counts: u16| {
+        let pose = Pose::identity();
+        let (snapshot, model) = scenes::view_of_plane(&Plane::tilted(0.6, 0.0), &pose);
+        let ir = snapshot.ir_counts.map(|_| counts);
+        let time = frame_id as f64;
+        let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
+        selector.observe(&TrackedFrame {
+            frame: &frame,
+            outcome: &scenes::tracked(pose),
+            model: Some(&model),
+        });
+    };
+    observe(&mut selector, 0, 20_000);
+    selector.request(true);
+    // Saturated: the gates of quality hold for what is asked for too.
+    observe(&mut selector, 1, 65_535);
+    assert!(selector.is_requested());
+    let last = selector.rejected().last().map(|r| r.reason.code());
+    assert_eq!(last, Some("saturated"));
+    observe(&mut selector, 2, 20_000);
+    assert!(!selector.is_requested());
+    // It tells no more than the first one, which would win otherwise.
+    observe(&mut selector, 3, 20_000);
+    let chosen: Vec<u64> = selector
+        .selection()
+        .accepted
+        .iter()
+        .map(|s| s.frame_id)
+        .collect();
+    assert_eq!(chosen, [2]);
+    selector.forget_after(1.5);
+    let chosen = selector.finish().accepted;
+    assert_eq!(chosen[0].frame_id, 0);
+}

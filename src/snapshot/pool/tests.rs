@@ -76,3 +76,44 @@ fn worth_is_submodular_and_losses_are_gains_in_reverse() {
     assert!(gain(last, &others) < gain(last, &nothing));
     assert!((gain(last, &others) - loss(last, &pool.total)).abs() < 1e-9);
 }
+
+#[test]
+fn what_was_asked_for_stays_and_is_chosen_first() {
+    let mut pool = Pool::new(3);
+    let mut evicted = Vec::new();
+    for (frame_id, azimuth) in [(0, 0.0), (1, 0.0), (2, 1.6), (3, 3.1), (4, 4.7)] {
+        let (snapshot, view) = candidate(frame_id, azimuth);
+        let outdone = match frame_id {
+            1 => pool.pin(snapshot, &view),
+            _ => pool.offer(snapshot, &view),
+        };
+        evicted.extend(outdone.map(|r| r.frame_id));
+    }
+    assert_eq!(evicted[0], 0, "the equal that nobody asked for");
+    assert!(!evicted.contains(&1));
+    assert_eq!(ids(&pool.chosen(1, 0.9).accepted), [1]);
+    let held = pool.held(1, 0.0);
+    assert_eq!(held.len(), 3);
+    for (snapshot, reason) in held {
+        assert_eq!(reason.is_none(), snapshot.frame_id == 1);
+    }
+    // A copy of the choice is the choice.
+    let chosen = ids(&pool.chosen(2, 0.0).accepted);
+    assert_eq!(chosen, ids(&pool.choose(2, 0.0).0));
+}
+
+#[test]
+fn a_pool_that_forgets_is_that_of_the_frames_before() {
+    let mut pool = Pool::new(8);
+    let mut before = Pool::new(8);
+    for (frame_id, azimuth) in [(0, 0.0), (1, 1.6), (2, 0.4), (3, 3.1)] {
+        let (snapshot, view) = candidate(frame_id, azimuth);
+        if frame_id < 2 {
+            before.offer(snapshot.clone(), &view);
+        }
+        pool.offer(snapshot, &view);
+    }
+    pool.forget_after(1.5);
+    assert!((pool.worth - before.worth).abs() < 1e-9 * before.worth);
+    assert_eq!(ids(&pool.choose(8, 0.0).0), [0, 1]);
+}

@@ -1,0 +1,130 @@
+//! Taking frames back: the model as if the last ones had not been fused.
+//!
+//! A volume does not remember what each frame brought, so that those which stay are fused anew, from their packed depth and
+//! at the poses at which they were fused. Where memory was short, that is every second or fourth of them.
+
+use super::{Fusion, MODEL_LEVEL, loop_closing, pose_correction::PoseCorrection, track::Track};
+use crate::geometry::Pose;
+
+impl Fusion {
+    /// Takes back every frame later than `after_secs` of the device's clock. The next frame is tracked as after an
+    /// interruption, or begins the model anew if none is left. False, and nothing is changed, if some frames are to stay
+    /// and none was kept, as at given poses.
+    pub fn take_back(&mut self, after_secs: f64) -> bool {
+        let n_left = self.n_kept_until(after_secs);
+        if after_secs > f64::NEG_INFINITY && self.keyframes.frames().is_empty() {
+            return false;
+        }
+        self.keyframes.truncate(n_left);
+        self.places.forget_after(after_secs);
+        if let Some(infrared) = &mut self.infrared {
+            infrared.forget_key();
+        }
+        // The old volume goes first: two of them might not find room.
+        (self.volume, self.band) = (self.params.empty_volume(), Default::default());
+        let (frames, nowhere) = (self.keyframes.frames(), PoseCorrection::default());
+        (self.volume, self.band) =
+            loop_closing::fuse_again(frames, &nowhere, &self.eye, &self.params);
+        self.volume_number += 1;
+        self.stretch = self.n_fused;
+        self.interrupt();
+        self.look_from_last();
+        true
+    }
+
+    fn n_kept_until(&self, after_secs: f64) -> usize {
+        let frames = self.keyframes.frames();
+        frames.partition_point(|frame| frame.time_secs <= after_secs)
+    }
+
+    /// Stands where the last frame that is left was taken, and looks at the model from there.
+    fn look_from_last(&mut self) {
+        let Some(last) = self.keyframes.frames().last() else {
+            self.model = None;
+            self.track = Track::at(Pose::identity(), 0.0);
+            self.is_interrupted = false;
+            return;
+        };
+        let (pose, time_secs) = (last.world_from_camera, last.time_secs);
+        self.eye.take(&last.depth_m());
+        if let Some(map) = &mut self.model {
+            self.eye.look(MODEL_LEVEL, &self.volume, &pose, map);
+        }
+        self.track = Track::at(pose, time_secs);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::fusion::tests::{frames, small_params};
+    use crate::fusion::{DepthNoise, Fusion, LiveMesh, TrackingOutcome};
+    use crate::geometry::{CameraModel, motion_between};
+    use depth_camera::{Frame, Sensor};
+
+    fn fused(frames: &[Frame], camera: CameraModel) -> Fusion {
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let mut fusion = Fusion::new(camera, noise, small_params());
+        for frame in frames {
+            fuse(&mut fusion, frame);
+        }
+        fusion
+    }
+
+    fn fuse(fusion: &mut Fusion, frame: &Frame) -> TrackingOutcome {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        fusion.fuse(depth, frame.device_time_secs)
+    }
+
+    #[test]
+    fn what_is_left_is_the_model_of_the_frames_before_and_tracking_goes_on() {
+        let (frames, truth, camera) = frames(9);
+        let before = fused(&frames[..5], camera);
+        let mut fusion = fused(&frames[..8], camera);
+        let mut live = LiveMesh::default();
+        fusion.refresh(&mut live);
+        let cut = 0.5 * (frames[4].device_time_secs + frames[5].device_time_secs);
+        assert!(fusion.take_back(cut));
+        assert_eq!(fusion.keyframes().len(), 5);
+        let (left, expected) = (fusion.mesh(), before.mesh());
+        // Depth was packed in steps of 0.1 mm: surface appears and vanishes at the rims alone.
+        let ratio = left.area_m2() / expected.area_m2();
+        assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+        let n_far = left.vertices.iter().filter(|vertex| {
+            let off = before.signed_distance(vertex);
+            off.is_none_or(|(distance, _)| distance.abs() > 2e-4)
+        });
+        assert!(n_far.count() * 100 < left.vertices.len());
+        // A mesh of the model as it was is made anew.
+        fusion.refresh(&mut live);
+        assert_eq!(live.mesh().faces.len(), left.faces.len());
+
+        let TrackingOutcome::Tracked {
+            world_from_camera, ..
+        } = fuse(&mut fusion, &frames[5])
+        else {
+            panic!("the next frame is tracked");
+        };
+        let off = motion_between(&truth[5], &world_from_camera);
+        assert!(off.translation_m < 0.002, "{off:?}");
+    }
+
+    #[test]
+    fn a_model_of_which_nothing_is_left_begins_anew() {
+        let (frames, truth, camera) = frames(3);
+        let mut fusion = fused(&frames, camera);
+        assert!(fusion.take_back(f64::NEG_INFINITY));
+        assert!(fusion.mesh().faces.is_empty() && fusion.model().is_none());
+        assert!(matches!(
+            fuse(&mut fusion, &frames[2]),
+            TrackingOutcome::Tracked { fit: None, .. }
+        ));
+
+        let mut given = fused(&[], camera);
+        let depth = frames[0].depth.as_ref().expect("Kinect II");
+        given.fuse_at(depth, 1.0, &truth[0]);
+        given.fuse_at(depth, 2.0, &truth[0]);
+        assert!(!given.take_back(1.5), "frames at given poses are not kept");
+        assert!(given.model().is_some());
+        assert_eq!(given.n_fused(), 2);
+    }
+}

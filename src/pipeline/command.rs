@@ -1,0 +1,160 @@
+//! What the operator asks of a scan that goes on, and why it may be refused.
+
+use super::status::{Phase, Status};
+use crossbeam::channel::{Sender, TrySendError};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What the operator asks of a running pipeline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// Frames are counted and not used until [`Command::Resume`].
+    Pause,
+    /// Ends a pause; tracking looks for the camera in the same model.
+    Resume,
+    /// The next frame that passes the gates of quality becomes a shading image, however little it adds.
+    Snapshot,
+    /// Takes back what was fused during the last seconds of tracking.
+    Undo {
+        /// Seconds of the device's clock.
+        secs: f64,
+    },
+    /// Writes what there is into a folder of its own, to be refined while the scan goes on.
+    Refine,
+    /// Forgets model, path and shading images and begins anew.
+    Reset,
+    /// Ends capture; base mesh, shading images and report are written, and refinement runs if it was asked for.
+    Finish,
+    /// Ends capture and all refinement; base mesh, shading images and report are still written.
+    Abandon,
+}
+
+/// Seconds that can be taken back at most.
+const MAX_UNDO_SECS: f64 = 3600.0;
+
+/// Why a command was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CommandRefused {
+    /// Capture has ended, or never began.
+    #[error("no scan is going on")]
+    NotScanning,
+    /// It is paused.
+    #[error("the scan is paused already")]
+    AlreadyPaused,
+    /// It is not paused.
+    #[error("the scan is not paused")]
+    NotPaused,
+    /// While paused no frame can become a shading image.
+    #[error("the scan is paused; resume it first")]
+    Paused,
+    /// A shading image is awaited.
+    #[error("a shading image is being taken already")]
+    AlreadySnapshotting,
+    /// There are no infrared images to shade with.
+    #[error("the camera gives no shading images")]
+    NoShadingImages,
+    /// Nothing has been fused.
+    #[error("nothing has been fused yet")]
+    NothingFused,
+    /// A time that makes no sense.
+    #[error("secs is {secs}, must be above 0 and at most {MAX_UNDO_SECS}")]
+    BadUndo {
+        /// What was asked.
+        secs: f64,
+    },
+    /// Earlier commands have not been handled yet.
+    #[error("too many commands are waiting")]
+    Busy,
+}
+
+impl CommandRefused {
+    /// The reason's stable name.
+    pub fn code(&self) -> &'static str {
+        match self {
+            CommandRefused::NotScanning => "not_scanning",
+            CommandRefused::AlreadyPaused => "already_paused",
+            CommandRefused::NotPaused => "not_paused",
+            CommandRefused::Paused => "paused",
+            CommandRefused::AlreadySnapshotting => "already_snapshotting",
+            CommandRefused::NoShadingImages => "no_shading_images",
+            CommandRefused::NothingFused => "nothing_fused",
+            CommandRefused::BadUndo { .. } => "bad_undo",
+            CommandRefused::Busy => "busy",
+        }
+    }
+}
+
+/// Where commands are asked for. Whether one makes sense is decided here, by what was asked before, so that two in a row
+/// need not wait for the first to be handled.
+#[derive(Clone, Debug)]
+pub struct CommandDesk {
+    asked: Arc<Mutex<Asked>>,
+    channel: Sender<Command>,
+}
+
+/// What the commands so far amount to.
+#[derive(Clone, Copy, Debug, Default)]
+struct Asked {
+    is_paused: bool,
+    is_ending: bool,
+}
+
+impl CommandDesk {
+    /// A desk that hands commands to a channel.
+    pub fn new(channel: Sender<Command>) -> Self {
+        CommandDesk {
+            asked: Arc::default(),
+            channel,
+        }
+    }
+
+    /// Takes a command, or says why not; never blocks.
+    pub fn ask(&self, command: Command, status: &Status) -> Result<(), CommandRefused> {
+        // Two flags: what a panic left behind is as good as any.
+        let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        let next = asked.after(command, status)?;
+        match self.channel.try_send(command) {
+            Ok(()) => *asked = next,
+            Err(TrySendError::Full(_)) => return Err(CommandRefused::Busy),
+            Err(TrySendError::Disconnected(_)) => return Err(CommandRefused::NotScanning),
+        }
+        Ok(())
+    }
+}
+
+impl Asked {
+    fn after(self, command: Command, status: &Status) -> Result<Self, CommandRefused> {
+        if self.is_ending || status.phase != Phase::Capturing {
+            return Err(CommandRefused::NotScanning);
+        }
+        let has_fused = status.frames.fused > 0;
+        let refused = match command {
+            Command::Pause if self.is_paused => Some(CommandRefused::AlreadyPaused),
+            Command::Resume if !self.is_paused => Some(CommandRefused::NotPaused),
+            Command::Snapshot if self.is_paused => Some(CommandRefused::Paused),
+            Command::Snapshot if status.snapshots.wanted == 0 => {
+                Some(CommandRefused::NoShadingImages)
+            }
+            Command::Snapshot if status.is_snapshotting => {
+                Some(CommandRefused::AlreadySnapshotting)
+            }
+            Command::Undo { secs } if !(secs > 0.0 && secs <= MAX_UNDO_SECS) => {
+                Some(CommandRefused::BadUndo { secs })
+            }
+            Command::Undo { .. } | Command::Refine if !has_fused => {
+                Some(CommandRefused::NothingFused)
+            }
+            _ => None,
+        };
+        match refused {
+            Some(refused) => Err(refused),
+            None => Ok(Asked {
+                is_paused: match command {
+                    Command::Pause => true,
+                    Command::Resume => false,
+                    _ => self.is_paused,
+                },
+                is_ending: matches!(command, Command::Finish | Command::Abandon),
+            }),
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! The end of a scan: loops are closed, depth is corrected once more, and the base mesh is taken out of the volume.
+
+use super::{FusedScan, FusionStage, FusionSummary};
+use crate::{
+    capture::Tracked,
+    fusion::{LoopClosure, PoseCorrection},
+    pipeline::{state::State, status::Phase, timing::StageClock},
+    snapshot::{SnapshotSelection, SnapshotSelector},
+};
+use std::sync::Arc;
+
+impl FusionStage {
+    /// Closes loops and takes the mesh out of the volume, whose memory is free before refinement begins.
+    pub(super) fn finish(mut self) -> FusionSummary {
+        let mut closing_clock = StageClock::new("loop closing");
+        let mut meshing_clock = StageClock::new("mesh extraction");
+        self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
+        self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
+        self.operator.interim.join();
+        self.status.update(|status| {
+            status.phase = Phase::Meshing;
+            status.state = State::Draining;
+        });
+        if !self.trajectory.is_empty() {
+            let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
+            self.revise(snapshots.as_mut());
+            let closure = closing_clock.time(|| {
+                let (fusion, pool) = (&mut self.fusion, &self.pool);
+                pool.install(|| fusion.close_loops())
+            });
+            if let Some(closure) = &closure {
+                tell_of(closure);
+                self.correct(&closure.correction, snapshots.as_mut());
+            }
+            if self.poses.is_none() {
+                self.settle(snapshots.as_mut());
+            }
+            self.summary.refusal = self.fusion.refusal();
+            let (fusion, pool) = (&self.fusion, &self.pool);
+            let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
+            tracing::info!(
+                n_fused = self.trajectory.len(),
+                volume_mib = fusion.memory_bytes() >> 20,
+                vertices = base.vertices.len(),
+                faces = base.faces.len(),
+                "base mesh extracted"
+            );
+            self.summary.scan = Some(Arc::new(FusedScan {
+                base,
+                world_from_cameras: self.trajectory.iter().map(|(_, pose)| *pose).collect(),
+                snapshots,
+                last_depth: self.last_depth,
+            }));
+        }
+        self.summary.timings = [
+            self.correction_clock,
+            self.fusion_clock,
+            self.selection_clock,
+            self.revision_clock,
+            closing_clock,
+            meshing_clock,
+        ]
+        .iter()
+        .filter_map(StageClock::timing)
+        .collect();
+        self.summary
+    }
+
+    /// Lets the shading images settle on the finished model.
+    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        let (fusion, pool) = (&mut self.fusion, &self.pool);
+        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
+            let settled =
+                pool.install(|| fusion.settle(&snapshot.depth_m, &snapshot.world_from_camera));
+            if let Some(pose) = settled {
+                snapshot.world_from_camera = pose;
+            }
+        }
+    }
+
+    /// Fuses the scan again if it tells of errors of its depth that were not taken off.
+    fn revise(&mut self, mut snapshots: Option<&mut SnapshotSelection>) {
+        let (correction, fusion, pool) = (&self.correction, &self.fusion, &self.pool);
+        let revised = self
+            .revision_clock
+            .time(|| pool.install(|| correction.revise(fusion)));
+        let Some(revised) = revised else {
+            return;
+        };
+        for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
+            let time_secs = snapshot.device_time_secs;
+            snapshot.depth_m = correction.revised_depth(&snapshot.depth_m, time_secs, &revised);
+        }
+        self.fusion = revised.fusion;
+        self.correct(&revised.correction, snapshots);
+    }
+
+    /// Moves all poses that were handed out.
+    fn correct(&mut self, correction: &PoseCorrection, snapshots: Option<&mut SnapshotSelection>) {
+        for (time_secs, pose) in &mut self.trajectory {
+            *pose = correction.apply(*time_secs, pose);
+        }
+        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
+            snapshot.world_from_camera =
+                correction.apply(snapshot.device_time_secs, &snapshot.world_from_camera);
+        }
+        self.measure_path();
+        self.send(Tracked::Corrected(self.trajectory.clone()));
+    }
+}
+
+fn tell_of(closure: &LoopClosure) {
+    tracing::info!(
+        n_fragments = closure.n_fragments,
+        n_loops = closure.n_loops,
+        misfit_before_m = closure.misfit_before_m,
+        misfit_after_m = closure.misfit_after_m,
+        "loops closed"
+    );
+}

@@ -1,0 +1,121 @@
+//! A scan as it is, written down on the way: base mesh, trajectory and shading images in a folder of their own, which is
+//! refined like the folder of a whole scan. Loops are not closed in it, for the scan goes on.
+
+use crate::{
+    capture::{Event, EventKind, Tracked},
+    geometry::{Pose, TriMesh},
+    pipeline::{
+        deliver::Outbox,
+        edges::TrackedSender,
+        live::{InterimScan, Slot},
+    },
+    snapshot::ShadingSnapshot,
+};
+use depth_camera::{CameraInfo, Sensor};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    thread::{self, JoinHandle},
+};
+
+/// What is written.
+pub(super) struct Interim {
+    pub(super) base: TriMesh,
+    /// Times (s) and poses of the fused frames.
+    pub(super) trajectory: Vec<(f64, Pose)>,
+    pub(super) snapshots: Vec<ShadingSnapshot>,
+    pub(super) frame_id: u64,
+}
+
+/// Writes one scan at a time, on a thread of its own, so that capture goes on.
+pub(super) struct InterimWriter {
+    info: CameraInfo,
+    folder: PathBuf,
+    number: u32,
+    writing: Option<JoinHandle<()>>,
+}
+
+impl InterimWriter {
+    pub(super) fn new(info: CameraInfo, folder: PathBuf) -> Self {
+        InterimWriter {
+            info,
+            folder,
+            number: 0,
+            writing: None,
+        }
+    }
+
+    pub(super) fn sensor(&self) -> Sensor {
+        self.info.sensor
+    }
+
+    /// Begins to write; when all is there it is told by an event and in the slot. The error says why not.
+    pub(super) fn begin(
+        &mut self,
+        interim: Interim,
+        events: &TrackedSender,
+        slot: Slot<InterimScan>,
+    ) -> Result<(), String> {
+        if self
+            .writing
+            .as_ref()
+            .is_some_and(|thread| !thread.is_finished())
+        {
+            return Err("the scan is still being written as it was last".to_owned());
+        }
+        self.join();
+        self.number += 1;
+        let number = self.number;
+        let folder = self.folder.join(format!("interim-{number:03}"));
+        let (info, events) = (self.info.clone(), events.clone());
+        let write = move || {
+            let kind = match interim.write(&folder, &info) {
+                Ok(()) => {
+                    slot.write(Some(InterimScan {
+                        number,
+                        folder: folder.clone(),
+                    }));
+                    EventKind::Interim { folder }
+                }
+                Err(reason) => EventKind::Refused {
+                    command: "refine",
+                    reason,
+                },
+            };
+            events.send(Tracked::Event(Event {
+                frame_id: interim.frame_id,
+                device_time_secs: interim.trajectory.last().map(|last| last.0),
+                kind,
+            }));
+        };
+        let thread = thread::Builder::new()
+            .name("interim".to_owned())
+            .spawn(write);
+        self.writing = Some(thread.map_err(|error: io::Error| error.to_string())?);
+        Ok(())
+    }
+
+    /// Waits for what is being written.
+    pub(super) fn join(&mut self) {
+        if let Some(thread) = self.writing.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("writing the scan on the way ended by a fault of the program");
+        }
+    }
+}
+
+impl Interim {
+    fn write(&self, folder: &Path, info: &CameraInfo) -> Result<(), String> {
+        fs::create_dir_all(folder)
+            .map_err(|error| format!("cannot create {}: {error}", folder.display()))?;
+        let outbox = Outbox::new(folder);
+        outbox.base_mesh(&self.base);
+        outbox.trajectory(&self.trajectory);
+        outbox.snapshots(&self.snapshots, None, info);
+        match outbox.account().failures.first() {
+            Some(failure) => Err(failure.clone()),
+            None => Ok(()),
+        }
+    }
+}

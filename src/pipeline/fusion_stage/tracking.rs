@@ -1,0 +1,140 @@
+//! What becomes of a frame: it is tracked and fused, or not, and considered for shading.
+
+use super::FusionStage;
+use crate::{
+    capture::{EventKind, Tracked},
+    fusion::TrackingOutcome,
+    geometry::{Pose, motion_between},
+    pipeline::{accounts::Place, conditions::WEAK_FITNESS, losses::sentence},
+    snapshot::TrackedFrame,
+};
+use depth_camera::Frame;
+use std::sync::Arc;
+
+impl FusionStage {
+    /// What became of a frame; `None` where poses are given and none is near.
+    pub(super) fn fuse(&mut self, frame: &Frame) -> Option<TrackingOutcome> {
+        let Some(depth) = &frame.depth else {
+            return Some(TrackingOutcome::NoDepth);
+        };
+        let time_secs = frame.device_time_secs;
+        let given = match &self.poses {
+            Some(poses) => Some(poses.at(time_secs)?),
+            None => None,
+        };
+        if let (Some(ir), None) = (&frame.ir, &given) {
+            self.fusion.see(ir);
+        }
+        let (fusion, pool, polish) = (&mut self.fusion, &self.pool, self.polish);
+        let outcome = self.fusion_clock.time(|| {
+            pool.install(|| match given {
+                Some(pose) if polish => fusion.fuse_near(depth, time_secs, &pose),
+                Some(pose) => fusion.fuse_at(depth, time_secs, &pose),
+                None => fusion.fuse(depth, time_secs),
+            })
+        });
+        Some(outcome)
+    }
+
+    /// Tells what became of a frame.
+    pub(super) fn account(&mut self, frame: &Frame, outcome: Option<&TrackingOutcome>) -> Place {
+        match outcome {
+            Some(TrackingOutcome::Tracked {
+                world_from_camera,
+                fit,
+            }) => {
+                self.found(frame, world_from_camera);
+                self.note_fitness(frame, fit.map(|fit| fit.fitness));
+                Place::Fused
+            }
+            Some(TrackingOutcome::NoDepth) => {
+                self.summary.n_without_depth += 1;
+                if std::mem::replace(&mut self.had_depth, false) {
+                    self.tell(frame, EventKind::NoDepth);
+                }
+                Place::WithoutDepth
+            }
+            Some(TrackingOutcome::Lost(reason)) => self.lost(frame, sentence(reason)),
+            None => self.lost(frame, "no given pose within 20 ms".to_owned()),
+        }
+    }
+
+    fn found(&mut self, frame: &Frame, world_from_camera: &Pose) {
+        self.had_depth = true;
+        self.summary.n_fused += 1;
+        if self.summary.losses.end() {
+            tracing::info!(frame_id = frame.frame_id, "tracking found back");
+            self.tell(frame, EventKind::Found);
+        }
+        if let Some((_, previous)) = self.trajectory.last() {
+            self.summary.path_length_m += motion_between(previous, world_from_camera).translation_m;
+        }
+        self.trajectory
+            .push((frame.device_time_secs, *world_from_camera));
+        self.send(Tracked::Pose(frame.device_time_secs, *world_from_camera));
+        self.last_depth.clone_from(&frame.depth);
+    }
+
+    /// Tells when the camera is about to be lost, once each time.
+    fn note_fitness(&mut self, frame: &Frame, fitness: Option<f64>) {
+        let is_weak = |fitness: Option<f64>| fitness.is_some_and(|fitness| fitness < WEAK_FITNESS);
+        let was_weak = is_weak(std::mem::replace(&mut self.fitness, fitness));
+        if let Some(fitness) = fitness
+            && is_weak(self.fitness)
+            && !was_weak
+        {
+            self.tell(frame, EventKind::Weak { fitness });
+        }
+    }
+
+    fn lost(&mut self, frame: &Frame, reason: String) -> Place {
+        self.had_depth = true;
+        self.fitness = Some(0.0);
+        self.summary.n_lost += 1;
+        let time_secs = frame.device_time_secs;
+        let is_new = self
+            .summary
+            .losses
+            .extend(frame.frame_id, time_secs, &reason);
+        if is_new {
+            tracing::warn!(frame_id = frame.frame_id, reason, "tracking lost");
+            let code = self.of_frames.reason().unwrap_or(self.of_frames.code());
+            self.tell(frame, EventKind::Lost { reason, code });
+        }
+        Place::Lost
+    }
+
+    /// Shows a frame to the selector of shading images.
+    pub(super) fn consider(&mut self, frame: &Arc<Frame>, outcome: &TrackingOutcome) {
+        let Some(selector) = &mut self.selector else {
+            return;
+        };
+        let tracked = TrackedFrame {
+            frame,
+            outcome,
+            model: self.fusion.model(),
+        };
+        let (n_before, was_requested) = (selector.n_accepted(), selector.is_requested());
+        let pool = &self.pool;
+        self.selection_clock
+            .time(|| pool.install(|| selector.observe(&tracked)));
+        let n_snapshots = selector.n_accepted();
+        let is_granted = was_requested && !selector.is_requested();
+        self.showing.note(frame, selector.rejected());
+        if n_snapshots > n_before || is_granted {
+            self.tell(frame, EventKind::Snapshot { n_snapshots });
+        }
+        self.give_up_request(frame);
+    }
+
+    /// Says once that the model takes nothing more.
+    pub(super) fn note_refusal(&mut self) {
+        if self.summary.refusal.is_some() {
+            return;
+        }
+        self.summary.refusal = self.fusion.refusal();
+        if let Some(refusal) = &self.summary.refusal {
+            tracing::warn!("{refusal}");
+        }
+    }
+}

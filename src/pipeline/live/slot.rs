@@ -1,0 +1,109 @@
+//! A place for the newest value of something, which knows whether anybody looks.
+
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// Who has looked within this time is looking.
+const LOOKING: Duration = Duration::from_secs(2);
+
+/// The newest value of something. Clones are the same slot.
+#[derive(Debug)]
+pub struct Slot<T>(Arc<Mutex<Inner<T>>>);
+
+#[derive(Debug)]
+struct Inner<T> {
+    value: Option<Arc<T>>,
+    last_read: Option<Instant>,
+    last_written: Option<Instant>,
+}
+
+impl<T> Default for Slot<T> {
+    fn default() -> Self {
+        Slot(Arc::new(Mutex::new(Inner {
+            value: None,
+            last_read: None,
+            last_written: None,
+        })))
+    }
+}
+
+impl<T> Clone for Slot<T> {
+    fn clone(&self) -> Self {
+        Slot(self.0.clone())
+    }
+}
+
+impl<T> Inner<T> {
+    fn is_watched(&self) -> bool {
+        self.last_read.is_some_and(|read| read.elapsed() < LOOKING)
+    }
+}
+
+impl<T> Slot<T> {
+    /// The newest value; says that somebody looks.
+    pub fn read(&self) -> Option<Arc<T>> {
+        self.with(|inner| {
+            inner.last_read = Some(Instant::now());
+            inner.value.clone()
+        })
+    }
+
+    /// Whether somebody looks.
+    pub fn is_watched(&self) -> bool {
+        self.with(|inner| inner.is_watched())
+    }
+
+    /// Whether somebody looks, and the value there is older than `min_age`.
+    pub fn is_due(&self, min_age: Duration) -> bool {
+        self.with(|inner| {
+            inner.is_watched() && inner.last_written.is_none_or(|at| at.elapsed() >= min_age)
+        })
+    }
+
+    /// Puts a value in place of the one there; the old one is freed here, or by its last reader.
+    pub fn write(&self, value: Option<T>) {
+        let value = value.map(Arc::new);
+        let old = self.with(|inner| {
+            inner.last_written = Some(Instant::now());
+            std::mem::replace(&mut inner.value, value)
+        });
+        drop(old);
+    }
+
+    fn with<R>(&self, f: impl FnOnce(&mut Inner<T>) -> R) -> R {
+        // Values are put whole: one that a panic left behind is as good as any.
+        f(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_is_due_only_while_somebody_looks_and_not_too_often() {
+        let slot = Slot::default();
+        assert!(!slot.is_due(Duration::ZERO));
+        assert_eq!(slot.read(), None);
+        assert!(slot.is_due(Duration::from_secs(3600)), "none was made yet");
+        slot.write(Some(7));
+        assert!(slot.is_due(Duration::ZERO));
+        assert!(!slot.is_due(Duration::from_secs(3600)));
+        slot.with(|inner| inner.last_read = inner.last_read.and_then(|at| at.checked_sub(LOOKING)));
+        assert!(!slot.is_due(Duration::ZERO), "nobody looks any more");
+    }
+
+    #[test]
+    fn only_the_newest_value_is_held() {
+        let slot = Slot::default();
+        slot.write(Some(1));
+        let held = slot.read().unwrap();
+        slot.write(Some(2));
+        assert_eq!((*held, Arc::strong_count(&held)), (1, 1));
+        assert_eq!(slot.clone().read().as_deref(), Some(&2));
+        slot.write(None);
+        assert_eq!(slot.read(), None);
+    }
+}

@@ -1,0 +1,171 @@
+//! The surface for whoever looks on: patches of the live mesh sewn together, with normals and coverage.
+//!
+//! A thread of its own makes it, of what the fusion thread hands over between two frames: capture does not wait for it, and
+//! it takes a quarter of a core at most.
+
+use super::{LiveSurface, Slot};
+use crate::{
+    geometry::TriMesh,
+    pipeline::status::{MeshStatus, StatusSlot},
+    snapshot::Coverage,
+};
+use crossbeam::channel::Receiver;
+use nalgebra::{Point3, Vector3};
+use std::{
+    collections::HashMap,
+    thread,
+    time::{Duration, Instant},
+};
+
+/// Faces beyond these are left out: a browser shows no more, and memory stays bounded.
+const MAX_FACES: usize = 1_500_000;
+/// Time at rest for each second of work, and how long that may be at most.
+const REST_SHARE: u32 = 3;
+const MAX_REST: Duration = Duration::from_secs(2);
+
+/// What has changed of the surface since the last update.
+#[derive(Clone, Debug, Default)]
+pub struct SurfaceUpdate {
+    /// Whether the patches so far are of another model.
+    pub is_anew: bool,
+    /// How many patches there are.
+    pub n_patches: usize,
+    /// Those that have changed, by number.
+    pub changed: Vec<(u32, TriMesh)>,
+    /// What the shading images so far tell.
+    pub coverage: Coverage,
+}
+
+/// Makes surfaces of updates until there are no more.
+pub fn run(updates: &Receiver<SurfaceUpdate>, slot: &Slot<LiveSurface>, status: &StatusSlot) {
+    let mut sewing = Sewing::default();
+    for update in updates {
+        let start = Instant::now();
+        let surface = sewing.take(update);
+        let mesh = MeshStatus {
+            revision: surface.revision,
+            vertices: surface.positions.len(),
+            faces: surface.faces.len(),
+        };
+        status.update(|status| status.mesh = Some(mesh));
+        slot.write(Some(surface));
+        thread::sleep((start.elapsed() * REST_SHARE).min(MAX_REST));
+    }
+}
+
+/// The patches in hand.
+#[derive(Debug, Default)]
+struct Sewing {
+    patches: Vec<TriMesh>,
+    revision: u32,
+}
+
+impl Sewing {
+    fn take(&mut self, update: SurfaceUpdate) -> LiveSurface {
+        if update.is_anew {
+            self.patches.clear();
+        }
+        self.patches.resize(update.n_patches, TriMesh::default());
+        for (number, patch) in update.changed {
+            if let Some(place) = self.patches.get_mut(number as usize) {
+                *place = patch;
+            }
+        }
+        self.revision += 1;
+        dressed(&self.sewn(), &update.coverage, self.revision)
+    }
+
+    /// One mesh, in which the patches share the vertices on their rims.
+    fn sewn(&self) -> TriMesh {
+        let mut mesh = TriMesh::default();
+        let mut number_of: HashMap<[u64; 3], u32> = HashMap::new();
+        let key = |vertex: &Point3<f64>| [vertex.x, vertex.y, vertex.z].map(f64::to_bits);
+        let mut numbers = Vec::new();
+        for patch in &self.patches {
+            if mesh.faces.len() + patch.faces.len() > MAX_FACES {
+                break;
+            }
+            numbers.clear();
+            for vertex in &patch.vertices {
+                let number = number_of.entry(key(vertex)).or_insert_with(|| {
+                    mesh.vertices.push(*vertex);
+                    mesh.vertices.len() as u32 - 1
+                });
+                numbers.push(*number);
+            }
+            let faces = patch.faces.iter();
+            mesh.faces
+                .extend(faces.map(|face| face.map(|vertex| numbers[vertex as usize])));
+        }
+        mesh
+    }
+}
+
+fn dressed(mesh: &TriMesh, coverage: &Coverage, revision: u32) -> LiveSurface {
+    let normals = mesh.vertex_normals();
+    let pairs = mesh.vertices.iter().zip(&normals);
+    let covered = pairs.map(|(vertex, normal)| {
+        let share = coverage.share(vertex, normal);
+        (255.0 * share).round() as u8
+    });
+    LiveSurface {
+        revision,
+        coverage: covered.collect(),
+        positions: mesh
+            .vertices
+            .iter()
+            .map(|v| v.coords.cast().into())
+            .collect(),
+        normals: normals.iter().map(small).collect(),
+        faces: mesh.faces.clone(),
+    }
+}
+
+fn small(normal: &Vector3<f64>) -> [i8; 3] {
+    normal.map(|x| (127.0 * x).round() as i8).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of two faces at this x, one metre wide, facing towards −z.
+    fn square(x: f64) -> TriMesh {
+        let corner = |u: f64, v: f64| Point3::new(x + u, v, 0.5);
+        TriMesh {
+            vertices: vec![
+                corner(0., 0.),
+                corner(0., 1.),
+                corner(1., 1.),
+                corner(1., 0.),
+            ],
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+        }
+    }
+
+    #[test]
+    fn patches_are_sewn_and_only_the_changed_ones_replaced() {
+        let mut sewing = Sewing::default();
+        let update = SurfaceUpdate {
+            n_patches: 2,
+            changed: vec![(0, square(0.0)), (1, square(1.0))],
+            ..SurfaceUpdate::default()
+        };
+        let both = sewing.take(update);
+        assert_eq!((both.positions.len(), both.faces.len()), (6, 4));
+        assert_eq!(both.normals, [[0, 0, -127]; 6]);
+        assert_eq!((both.revision, both.coverage), (1, vec![0; 6]));
+        let apart = sewing.take(SurfaceUpdate {
+            n_patches: 2,
+            changed: vec![(1, square(3.0))],
+            ..SurfaceUpdate::default()
+        });
+        assert_eq!((apart.positions.len(), apart.revision), (8, 2));
+        let anew = sewing.take(SurfaceUpdate {
+            is_anew: true,
+            n_patches: 1,
+            ..SurfaceUpdate::default()
+        });
+        assert!(anew.faces.is_empty());
+    }
+}

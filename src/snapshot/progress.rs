@@ -1,0 +1,104 @@
+//! What can be asked of a selector, and told to it, while the scan goes on.
+
+use super::coverage::Coverage;
+use super::exposures::saturated_share;
+use super::guide::Guidance;
+use super::next_view::{Viewpoint, next_viewpoint};
+use super::pool::Pool;
+use super::rejection::{RejectReason, Rejection};
+use super::{Method, ShadingSnapshot, SnapshotSelection, SnapshotSelector};
+use crate::fusion::ModelMap;
+use crate::geometry::Pose;
+use depth_camera::Image;
+
+impl SnapshotSelector {
+    /// Asks for the next image that passes the gates of quality, however little it adds, or takes that back.
+    pub fn request(&mut self, is_requested: bool) {
+        match &mut self.method {
+            Method::Sequence(sequence) => sequence.request(is_requested),
+            Method::Stream(stream) => stream.request(is_requested),
+        }
+    }
+
+    /// Whether an image was asked for that has not come yet.
+    pub fn is_requested(&self) -> bool {
+        match &self.method {
+            Method::Sequence(sequence) => sequence.is_requested(),
+            Method::Stream(stream) => stream.is_requested(),
+        }
+    }
+
+    /// Kinect I: whether exposures of a pose are being taken.
+    pub fn is_exposing(&self) -> bool {
+        match &self.method {
+            Method::Sequence(sequence) => sequence.is_exposing(),
+            Method::Stream(_) => false,
+        }
+    }
+
+    /// Kinect I: what the operator is to do next.
+    pub fn guidance(&self) -> Option<Guidance> {
+        match &self.method {
+            Method::Sequence(sequence) => Some(sequence.guidance()),
+            Method::Stream(_) => None,
+        }
+    }
+
+    /// The frames that are no shading images so far, in the order in which that was found.
+    pub fn rejected(&self) -> &[Rejection] {
+        match &self.method {
+            Method::Sequence(sequence) => sequence.rejected(),
+            Method::Stream(stream) => stream.rejected(),
+        }
+    }
+
+    /// The candidates at present, in order of arrival, with why each would not be chosen if the scan ended now.
+    pub fn held(&self) -> Vec<(&ShadingSnapshot, Option<RejectReason>)> {
+        let (n, min_gain_share) = self.bounds();
+        self.pool().held(n, min_gain_share)
+    }
+
+    /// What would be chosen if the scan ended now, copied.
+    pub fn selection(&self) -> SnapshotSelection {
+        let (n, min_gain_share) = self.bounds();
+        self.pool().chosen(n, min_gain_share)
+    }
+
+    /// Forgets what was taken later than `after_secs` of the device's clock.
+    pub fn forget_after(&mut self, after_secs: f64) {
+        match &mut self.method {
+            Method::Sequence(sequence) => sequence.forget_after(after_secs),
+            Method::Stream(stream) => stream.forget_after(after_secs),
+        }
+    }
+
+    /// What the candidates tell of the surface.
+    pub fn coverage(&self) -> Coverage {
+        self.pool().coverage()
+    }
+
+    /// From where a camera at this pose, which sees the model so, should take the next image.
+    pub fn next_viewpoint(&self, model: &ModelMap, world_from_camera: &Pose) -> Option<Viewpoint> {
+        next_viewpoint(&self.coverage(), model, world_from_camera, &self.optics)
+    }
+
+    /// Share of an infrared image's pixels at full scale.
+    pub fn saturated_share(&self, counts: &Image<u16>) -> f64 {
+        saturated_share(counts, self.optics.full_scale)
+    }
+
+    fn pool(&self) -> &Pool {
+        match &self.method {
+            Method::Sequence(sequence) => sequence.pool(),
+            Method::Stream(stream) => stream.pool(),
+        }
+    }
+
+    /// How many images are chosen at most, and what the last of them must add.
+    fn bounds(&self) -> (usize, f64) {
+        match &self.method {
+            Method::Sequence(sequence) => sequence.bounds(),
+            Method::Stream(stream) => stream.bounds(),
+        }
+    }
+}
