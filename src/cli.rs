@@ -5,6 +5,7 @@ pub mod bench;
 pub mod calibrate;
 pub mod evaluate;
 pub mod run;
+pub mod session;
 pub mod summary;
 
 use anyhow::{Context, anyhow, bail, ensure};
@@ -15,6 +16,7 @@ use relief::{
     config::Overrides,
     refine::{Crop, Roi},
 };
+use session::SessionCommand;
 use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
 
 /// Turns a hand-held Kinect scan into a mesh with detail below the depth sensor's noise, from infrared shading.
@@ -49,6 +51,9 @@ pub enum Command {
     /// Measure what the program has to know of a device
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+    /// List, check, mend and convert recordings
+    #[command(subcommand)]
+    Session(SessionCommand),
 }
 
 impl Command {
@@ -60,6 +65,7 @@ impl Command {
             Command::Bench(args) => args.json,
             Command::Evaluate(args) => args.json,
             Command::Calibrate(command) => command.prints_json(),
+            Command::Session(command) => command.prints_json(),
             Command::Simulate(_) | Command::Demo(_) => false,
         }
     }
@@ -68,7 +74,7 @@ impl Command {
 /// `relief replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Folder of the session
+    /// Folder of the session, or an .mcap file
     pub session: PathBuf,
     /// Folder for the outputs, new or empty
     #[arg(long, value_name = "DIR")]
@@ -122,7 +128,7 @@ pub struct ReplayArgs {
     /// Play at the recorded pace and drop frames rather than wait for fusion
     #[arg(long)]
     pub realtime: bool,
-    /// Record the frames into `session` of the output folder
+    /// Record the frames beneath the output folder, as [capture] of the configuration says
     #[arg(long)]
     pub record: bool,
     /// Fuse only
@@ -217,7 +223,7 @@ pub struct DemoArgs {
 /// `relief bench`.
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// Folder of the session
+    /// Folder of the session, or an .mcap file
     pub session: PathBuf,
     /// Configuration; keys that it leaves out keep their defaults
     #[arg(long, value_name = "FILE")]

@@ -7,7 +7,7 @@ use clap::Parser;
 use cli::{
     Cli, Command, bench, calibrate, evaluate,
     run::{self, Verdict},
-    summary,
+    session, summary,
 };
 use relief::control::{Progress, ProgressStyle};
 use std::{
@@ -33,6 +33,7 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::bench(args),
         Command::Evaluate(args) => evaluate::evaluate(args),
         Command::Calibrate(command) => calibrate::calibrate(command),
+        Command::Session(command) => session::session(command),
     };
     let verdict = ran.unwrap_or_else(|error| {
         if prints_json {

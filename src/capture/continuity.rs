@@ -73,7 +73,7 @@ mod tests {
         let start = Instant::now();
         let at = |secs: f64| start + Duration::from_secs_f64(secs);
         let mut stream = Continuity::default();
-        let mut told = |stream: &mut Continuity, id: u64, device_secs: f64, host_secs: f64| {
+        let told = |stream: &mut Continuity, id: u64, device_secs: f64, host_secs: f64| {
             let frame = stream.carry_on(frame(id, device_secs, at(host_secs)));
             (frame.frame_id, frame.device_time_secs)
         };

@@ -3,6 +3,7 @@
 use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, summary};
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
+use mcap_session::open_session;
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
     control::{self, EXIT_INTERRUPTED, Progress},
@@ -10,7 +11,7 @@ use relief::{
         Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
     },
 };
-use replay::{Pacing, ReplayCamera, SessionWriter};
+use replay::{Pacing, SessionWriter};
 use simulated::SimulatedCamera;
 use std::{
     num::NonZeroUsize,
@@ -65,16 +66,14 @@ impl From<Verdict> for ExitCode {
 /// `relief replay`.
 pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
-    let camera = ReplayCamera::open(&args.session)?.with_pacing(match args.realtime {
+    let pacing = match args.realtime {
         true => Pacing::Recorded,
         false => Pacing::AsFastAsPossible,
-    });
-    let params = pipeline_params(args, config, &camera)?;
+    };
+    let camera = open_session(&args.session, pacing)?.camera;
+    let params = pipeline_params(args, config, camera.info())?;
     let folder = OutputFolder::claim(&args.out)?;
-    let outcome = control::operate(
-        || Pipeline::spawn(Box::new(camera), params, folder),
-        progress,
-    )?;
+    let outcome = control::operate(|| Pipeline::spawn(camera, params, folder), progress)?;
     say(&outcome, args.json)
 }
 
@@ -151,15 +150,15 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
 fn pipeline_params(
     args: &ReplayArgs,
     config: Config,
-    camera: &ReplayCamera,
+    info: &CameraInfo,
 ) -> anyhow::Result<PipelineParams> {
     let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
     let places = CalibrationPlaces {
         given: args.calibration.as_deref(),
         folder: &folder,
-        session: Some(&args.session),
+        session: Some(session_folder(&args.session)),
     };
-    let found = config::find_calibration(camera.info(), &places)?;
+    let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
     Ok(PipelineParams {
         session: session_name(&args.session),
@@ -169,7 +168,7 @@ fn pipeline_params(
         snapshot: config.snapshot,
         object: config.object,
         refine: (!args.no_refine).then_some(config.refine),
-        warnings: calibration_warnings(&found, camera.info()),
+        warnings: calibration_warnings(&found, info),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
@@ -281,6 +280,14 @@ fn calibration_warnings(found: &FoundCalibration, info: &CameraInfo) -> Vec<Stri
         tracing::warn!("{warning}");
     }
     warnings
+}
+
+/// The folder that a session lies in: its own, or that of its file.
+pub fn session_folder(session: &Path) -> &Path {
+    match (session.is_file(), session.parent()) {
+        (true, Some(folder)) => folder,
+        _ => session,
+    }
 }
 
 /// The name of the session's folder.

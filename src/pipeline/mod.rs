@@ -80,7 +80,9 @@ use edges::DropCounts;
 use fusion_stage::FusionSetup;
 use handle::Threads;
 use live::surface::{self, SurfaceUpdate};
+use mcap_session::RecordingError;
 use rayon::ThreadPoolBuildError;
+use recorder_stage::Telling;
 use refine_stage::RefineSetup;
 use report::Subject;
 use std::{io, num::NonZeroUsize, sync::Arc};
@@ -125,7 +127,7 @@ pub struct PipelineParams {
 pub enum SpawnError {
     /// The recorder cannot write.
     #[error("cannot record: {0}")]
-    Recorder(#[from] replay::WriteError),
+    Recorder(#[from] RecordingError),
     /// The calibration cannot be recorded.
     #[error("cannot record the calibration: {0}")]
     Calibration(String),
@@ -172,7 +174,11 @@ impl Pipeline {
         let events_in = tracked_in.clone();
         let live = watch.live.clone();
         let (status, status_of_sewing) = (&watch.status, watch.status.clone());
-        let status_of_recorder = watch.status.clone();
+        let telling = Telling {
+            status: watch.status.clone(),
+            events: watch.events.clone(),
+            drops: drops.clone(),
+        };
 
         let threads = Threads {
             device: Some(spawn("device", status, move || {
@@ -187,7 +193,7 @@ impl Pipeline {
                     recording_out,
                     tracked_out,
                     &outbox_of_recorder,
-                    &status_of_recorder,
+                    &telling,
                 )
             })?),
             sewing: Some(spawn("sewing", status, move || {
@@ -275,7 +281,7 @@ fn recorder(
     info: &CameraInfo,
     folder: &OutputFolder,
 ) -> Result<Recorder, SpawnError> {
-    let recorder = Recorder::new(folder.path())?;
+    let recorder = Recorder::new(folder.path()).map_err(RecordingError::from)?;
     if !params.record {
         return Ok(recorder);
     }
@@ -284,8 +290,10 @@ fn recorder(
         .calibration
         .to_toml()
         .map_err(SpawnError::Calibration)?;
-    let recorder = recorder.with_frames(info, params.capture.record_depth_units_per_metre)?;
-    Ok(recorder.with_text(Calibration::FILE_NAME, &calibration)?)
+    let recorder = recorder.with_frames(info, &params.capture)?;
+    Ok(recorder
+        .with_text(Calibration::FILE_NAME, &calibration)
+        .map_err(RecordingError::from)?)
 }
 
 fn device_setup(

@@ -10,6 +10,7 @@ mod bench;
 mod calibrate;
 mod delivery;
 mod live;
+mod sessions;
 mod signals;
 
 mod support;
