@@ -13,6 +13,7 @@ pub mod evaluate;
 pub mod export;
 pub mod fusion;
 pub mod geometry;
+pub mod interreflection;
 pub mod multipath;
 pub mod pipeline;
 pub mod refine;

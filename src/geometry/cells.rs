@@ -2,7 +2,9 @@
 
 use super::PixelSquare;
 use depth_camera::Image;
+use nalgebra::Vector2;
 use rayon::prelude::*;
+use std::ops::{Add, Mul};
 
 /// Square cells that cover an image but for what is left over at its right and lower border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,22 +75,73 @@ impl CellGrid {
         out.par_chunks_mut(self.width)
             .enumerate()
             .for_each(|(v, out)| {
-                let (above, below, down) = self.between(v, self.rows);
+                let (above, below, down) = self.between(v as f32, self.rows);
                 let [above, below] = [above, below].map(|row| &values[row * self.columns..]);
                 let row: Vec<f32> = (0..self.columns)
                     .map(|k| above[k] + (below[k] - above[k]) * down)
                     .collect();
                 for (u, out) in out.iter_mut().enumerate() {
-                    let (left, right, along) = self.between(u, self.columns);
+                    let (left, right, along) = self.between(u as f32, self.columns);
                     *out = row[left] + (row[right] - row[left]) * along;
                 }
             });
         Image::from_vec(self.width, self.height, out)
     }
 
+    /// The cells whose middles lie around a place on the image (pixels), with their bilinear shares of 1.
+    #[inline]
+    pub fn around(&self, pixel: &Vector2<f64>) -> [(usize, f32); 4] {
+        let (left, right, along) = self.between(pixel.x as f32, self.columns);
+        let (above, below, down) = self.between(pixel.y as f32, self.rows);
+        let [above, below] = [above, below].map(|row| row * self.columns);
+        [
+            (above + left, (1.0 - along) * (1.0 - down)),
+            (above + right, along * (1.0 - down)),
+            (below + left, (1.0 - along) * down),
+            (below + right, along * down),
+        ]
+    }
+
+    /// Gives cells without a value the mean of their neighbours, from the known ones outwards; all are 0 where none is known.
+    pub fn filled<T>(&self, values: &[Option<T>]) -> Vec<T>
+    where
+        T: Copy + Default + Add<Output = T> + Mul<f32, Output = T>,
+    {
+        let mut cells = values.to_vec();
+        while cells.iter().any(Option::is_none) {
+            let known = cells.clone();
+            let mut is_done = true;
+            for (index, cell) in cells.iter_mut().enumerate() {
+                if cell.is_none() {
+                    let beside = self.neighbours(index).filter_map(|k| *known.get(k)?);
+                    let (sum, n) =
+                        beside.fold((T::default(), 0), |(sum, n), value| (sum + value, n + 1));
+                    *cell = (n > 0).then(|| sum * (1.0 / n as f32));
+                    is_done &= cell.is_none();
+                }
+            }
+            if is_done {
+                break;
+            }
+        }
+        cells.into_iter().map(Option::unwrap_or_default).collect()
+    }
+
+    /// Indices of the four neighbours, some of which may lie below the last row.
+    fn neighbours(&self, index: usize) -> impl Iterator<Item = usize> {
+        let column = index % self.columns;
+        let beside = [
+            (column > 0).then(|| index - 1),
+            (column + 1 < self.columns).then_some(index + 1),
+            index.checked_sub(self.columns),
+            Some(index + self.columns),
+        ];
+        beside.into_iter().flatten()
+    }
+
     /// The cells before and after a pixel along one side, and how far it lies between their middles.
-    fn between(&self, pixel: usize, n: usize) -> (usize, usize, f32) {
-        let place = (pixel as f32 + 0.5) / self.cell_px as f32 - 0.5;
+    fn between(&self, pixel: f32, n: usize) -> (usize, usize, f32) {
+        let place = (pixel + 0.5) / self.cell_px as f32 - 0.5;
         let place = place.clamp(0.0, (n - 1) as f32);
         let first = place as usize;
         (first, (first + 1).min(n - 1), place - first as f32)
@@ -122,5 +175,20 @@ mod tests {
             );
         }
         assert_eq!(image.at(0, 0), image.at(7, 7));
+        let place = Vector2::new(123.0, 77.0);
+        let around = cells.around(&place).into_iter();
+        let mixed: f32 = around.map(|(cell, share)| values[cell] * share).sum();
+        assert!((mixed - image.at(123, 77)).abs() < 1e-4);
+    }
+
+    #[test]
+    fn cells_without_a_value_have_that_of_their_neighbours() {
+        let cells = CellGrid::new(40, 20, 4);
+        assert_eq!(cells.filled(&[None::<f32>; 8]), [0.0; 8]);
+        let values = [Some(1.0), None, Some(3.0), None, None, None, None, None];
+        assert_eq!(
+            cells.filled(&values),
+            [1.0, 2.0, 3.0, 3.0, 1.0, 2.0, 3.0, 3.0]
+        );
     }
 }

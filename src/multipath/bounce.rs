@@ -4,9 +4,10 @@
 //! look as bright. That over what the light sends there directly is the share of light that has come over the first patch,
 //! whatever the second one's albedo; its path is longer by the way from light to patch to patch over that from the light.
 
-use super::patches::Lit;
+use crate::interreflection::{LANES, Lit, MIN_DISTANCE_M, Sources};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use std::ops::{Add, Mul};
 
 /// Light that a patch receives over others, for a white level of 1/π.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -17,53 +18,39 @@ pub struct Bounce {
     pub range_m: f32,
 }
 
-/// Patches nearer to one another than this count as this far apart, metres: a patch is no point.
-const MIN_DISTANCE_M: f32 = 0.02;
-/// Patches in one step of the kernel, whatever the processor's vectors hold, so that sums do not depend on it.
-const LANES: usize = 16;
+impl Add for Bounce {
+    type Output = Bounce;
+
+    fn add(self, other: Bounce) -> Bounce {
+        Bounce {
+            share: self.share + other.share,
+            range_m: self.range_m + other.range_m,
+        }
+    }
+}
+
+impl Mul<f32> for Bounce {
+    type Output = Bounce;
+
+    fn mul(self, factor: f32) -> Bounce {
+        Bounce {
+            share: self.share * factor,
+            range_m: self.range_m * factor,
+        }
+    }
+}
 
 /// What every patch receives over the sources; `None` for none.
-pub fn bounces(patches: &[Option<Lit>], sources: &[Lit]) -> Vec<Option<Bounce>> {
-    let sources = Sources::new(sources);
+pub fn bounces(patches: &[Option<Lit>], sources: &Sources) -> Vec<Option<Bounce>> {
     let arch = Arch::new();
     patches
         .par_iter()
         .map(|patch| {
             let patch = patch.as_ref()?;
-            let kernel = Received {
-                patch,
-                sources: &sources,
-            };
+            let kernel = Received { patch, sources };
             Some(arch.dispatch(kernel))
         })
         .collect()
-}
-
-/// Coordinates of the sources, in steps of the kernel; the last is filled up with dark ones.
-struct Sources {
-    steps: Vec<[[f32; LANES]; N_COORDINATES]>,
-}
-
-/// Point, normal, radiance times area, and distance to the light.
-const N_COORDINATES: usize = 8;
-
-impl Sources {
-    fn new(sources: &[Lit]) -> Self {
-        let steps = sources.chunks(LANES).map(|lit| {
-            let mut step = [[0.0; LANES]; N_COORDINATES];
-            for (lane, lit) in lit.iter().enumerate() {
-                let ([x, y, z], [nx, ny, nz]) = (lit.point, lit.normal);
-                let coordinates = [x, y, z, nx, ny, nz, lit.radiance * lit.area_m2, lit.light_m];
-                for (column, value) in step.iter_mut().zip(coordinates) {
-                    column[lane] = value;
-                }
-            }
-            step
-        });
-        Sources {
-            steps: steps.collect(),
-        }
-    }
 }
 
 /// What one patch receives.
@@ -85,7 +72,7 @@ impl WithSimd for Received<'_> {
             ..
         } = *self.patch;
         let (mut light, mut longer) = ([0.0f32; LANES], [0.0f32; LANES]);
-        for [x, y, z, mx, my, mz, power, source_light_m] in &self.sources.steps {
+        for [x, y, z, mx, my, mz, power, source_light_m] in self.sources.steps() {
             for i in 0..LANES {
                 let (dx, dy, dz) = (x[i] - px, y[i] - py, z[i] - pz);
                 let squared = dx * dx + dy * dy + dz * dz;

@@ -6,8 +6,9 @@
 //! wrong. Tracking and fusion have hidden a part of it, so that the slope is too small by a factor of about two, and only its
 //! zero is exact.
 
-use super::{RangeBias, WhiteLevel};
+use super::RangeBias;
 use crate::geometry::{Pose, RayGrid};
+use crate::interreflection::WhiteLevel;
 use crate::shading::{Tukey, median_absolute_deviation};
 use depth_camera::Image;
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};

@@ -14,10 +14,8 @@
 mod bounce;
 mod evidence;
 mod params;
-mod patches;
 mod range_bias;
 mod search;
-mod support;
 
 pub use evidence::{Evidence, Seen};
 pub use params::MultipathParams;
@@ -28,35 +26,16 @@ pub use search::WhiteSearch;
 mod tests;
 
 use crate::geometry::{CameraModel, RayGrid};
+use crate::interreflection::{LitScene, PatchGrid, WhiteLevel};
 use crate::shading::{Calibration, NearLight};
 use depth_camera::{CameraInfo, Frame, Image, LightKind, Sensor};
 use evidence::evidence;
 use nalgebra::{Point3, Vector3};
-use patches::{Lit, PatchGrid};
-use std::f64::consts::PI;
-
-/// Linear intensity, as a share of full scale, that a perfectly white surface shows one metre before the light and facing it.
-/// A constant of the device; the strength of multipath is its reciprocal.
-#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-pub struct WhiteLevel(pub f64);
-
-impl WhiteLevel {
-    /// The white level of a strength of multipath; `None`, which is no multipath, unless it is positive.
-    fn of_strength(strength: f64) -> Option<Self> {
-        (strength > 0.0).then(|| WhiteLevel(1.0 / (PI * strength)))
-    }
-}
 
 /// The strength of multipath, 1/(π white level); no white level is no multipath.
 fn strength(white: Option<WhiteLevel>) -> f64 {
-    white.map_or(0.0, |WhiteLevel(white)| 1.0 / (PI * white))
+    white.map_or(0.0, WhiteLevel::strength)
 }
-
-/// Albedo that the brightest surfaces of a scan are taken to have as long as nothing better is known: plaster, paper and
-/// skin reflect 0.5 to 0.8 of near infrared.
-const BRIGHT_ALBEDO: f64 = 0.6;
-/// Those surfaces are the brightest 5 %: a few patches may be glossy.
-const BRIGHT_QUANTILE: f64 = 0.95;
 
 /// Predicts multipath from the frames of one camera.
 #[derive(Clone, Debug)]
@@ -88,11 +67,9 @@ impl Multipath {
     /// Predicts the multipath of a frame; `None` if it lacks an image or shows next to nothing.
     pub fn predict(&self, frame: &Frame) -> Option<Prediction> {
         let (depth, ir) = (frame.depth.as_ref()?, frame.ir.as_ref()?);
-        let patches = self.grid.patches(depth, ir);
-        let plausible_white = plausible_white(&patches)?;
-        let beyond = support::beyond_the_image(&patches, &self.grid);
-        let sources: Vec<Lit> = patches.iter().flatten().chain(&beyond).copied().collect();
-        let bounces = bounce::bounces(&patches, &sources);
+        let scene = LitScene::new(&self.grid, depth, ir);
+        let plausible_white = scene.plausible_white()?;
+        let bounces = bounce::bounces(scene.patches(), &scene.sources());
         Some(Prediction {
             bias: RangeBias::new(self.grid.cells(), &bounces),
             plausible_white,
@@ -121,17 +98,4 @@ impl Multipath {
     ) -> Image<f32> {
         bias.corrected(depth_m, self.grid.rays(), from, to)
     }
-}
-
-/// The white level at which the bright patches have the albedo of plaster.
-fn plausible_white(patches: &[Option<Lit>]) -> Option<WhiteLevel> {
-    let mut reflected: Vec<f32> = patches
-        .iter()
-        .flatten()
-        .map(|patch| patch.radiance / patch.direct)
-        .collect();
-    let index = (BRIGHT_QUANTILE * reflected.len() as f64) as usize;
-    let (_, bright, _) = (index < reflected.len())
-        .then(|| reflected.select_nth_unstable_by(index, f32::total_cmp))?;
-    (*bright > 0.0).then(|| WhiteLevel(f64::from(*bright) / BRIGHT_ALBEDO))
 }

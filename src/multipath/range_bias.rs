@@ -1,8 +1,9 @@
 //! How far too long the ranges of a frame are, as a function of the white level.
 
 use super::bounce::Bounce;
-use super::{WhiteLevel, strength};
+use super::strength;
 use crate::geometry::{CellGrid, RayGrid};
+use crate::interreflection::WhiteLevel;
 use depth_camera::Image;
 
 /// The bias of a frame's ranges on a grid of patches.
@@ -37,7 +38,7 @@ impl RangeBias {
     pub(super) fn new(cells: CellGrid, bounces: &[Option<Bounce>]) -> Self {
         RangeBias {
             cells,
-            bounces: filled(cells.columns(), bounces),
+            bounces: cells.filled(bounces),
             is_measured: bounces.iter().map(Option::is_some).collect(),
         }
     }
@@ -78,48 +79,4 @@ impl RangeBias {
         });
         Image::from_vec(depth_m.width(), depth_m.height(), shorter.collect())
     }
-}
-
-/// Gives patches without a value the mean of their neighbours, from the known ones outwards.
-fn filled(columns: usize, bounces: &[Option<Bounce>]) -> Vec<Bounce> {
-    let mut cells = bounces.to_vec();
-    while cells.iter().any(Option::is_none) {
-        let known = cells.clone();
-        let mut is_done = true;
-        for (index, cell) in cells.iter_mut().enumerate() {
-            if cell.is_none() {
-                *cell = mean(neighbours(columns, index).filter_map(|k| *known.get(k)?));
-                is_done &= cell.is_none();
-            }
-        }
-        if is_done {
-            break;
-        }
-    }
-    cells.into_iter().map(Option::unwrap_or_default).collect()
-}
-
-/// Indices of the four neighbours, some of which may lie below the last row.
-fn neighbours(columns: usize, index: usize) -> impl Iterator<Item = usize> {
-    let column = index % columns;
-    let beside = [
-        (column > 0).then(|| index - 1),
-        (column + 1 < columns).then_some(index + 1),
-        index.checked_sub(columns),
-        Some(index + columns),
-    ];
-    beside.into_iter().flatten()
-}
-
-fn mean(bounces: impl Iterator<Item = Bounce>) -> Option<Bounce> {
-    let (mut sum, mut n) = (Bounce::default(), 0);
-    for bounce in bounces {
-        sum.share += bounce.share;
-        sum.range_m += bounce.range_m;
-        n += 1;
-    }
-    (n > 0).then(|| Bounce {
-        share: sum.share / n as f32,
-        range_m: sum.range_m / n as f32,
-    })
 }

@@ -1,6 +1,7 @@
 //! The white level at which the views of a scan agree best.
 
-use super::{Evidence, WhiteLevel, strength};
+use super::{Evidence, strength};
+use crate::interreflection::WhiteLevel;
 
 /// What is known of a scan's white level, and what the scan itself has told of it so far.
 #[derive(Clone, Debug)]

@@ -1,9 +1,9 @@
 use super::bounce::bounces;
-use super::patches::Lit;
 use super::*;
 use crate::fusion::{DepthNoise, Fusion, FusionParams};
 use crate::geometry::Pose;
 use crate::geometry::camera::tests::distorted_camera;
+use crate::interreflection::{Lit, Sources};
 use depth_camera::Light;
 use nalgebra::UnitQuaternion;
 use std::time::Instant;
@@ -24,7 +24,7 @@ fn a_patch_receives_what_the_form_factor_of_another_says() {
     // Two squares of a right-angled corner, 0.1 m from its edge, seen from the corner's diagonal.
     let receiver = lit([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 0.0, 0.0, 0.4);
     let source = lit([0.1, 0.0, 1.1], [0.0, 0.0, -1.0], 0.003, 0.5, 0.4);
-    let Some(bounce) = bounces(&[Some(receiver)], &[source])[0] else {
+    let Some(bounce) = bounces(&[Some(receiver)], &Sources::new([source].iter()))[0] else {
         panic!("it receives light");
     };
     // L cosθ cosθ' dA/r² over the direct light; both angles are 45° and r² is 0.02.
@@ -44,7 +44,7 @@ fn patches_that_face_away_send_nothing() {
     let behind = lit([0.1, 0.0, 1.2], [0.0, 0.0, -1.0], 0.01, 1.0, 1.0);
     let turned = lit([0.1, 0.0, 0.8], [0.0, 0.0, -1.0], 0.01, 1.0, 1.0);
     assert_eq!(
-        bounces(&[Some(receiver)], &[behind, turned])[0],
+        bounces(&[Some(receiver)], &Sources::new([behind, turned].iter()))[0],
         Some(Default::default())
     );
 }

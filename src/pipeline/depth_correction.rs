@@ -6,7 +6,8 @@ use crate::{
         DepthField, DepthNoise, Fusion, FusionParams, Keyframe, PoseCorrection, TrackingOutcome,
     },
     geometry::{CameraModel, Pose, RayGrid},
-    multipath::{Evidence, Multipath, RangeBias, Seen, WhiteLevel, WhiteSearch},
+    interreflection::WhiteLevel,
+    multipath::{Evidence, Multipath, RangeBias, Seen, WhiteSearch},
     shading::Calibration,
 };
 use depth_camera::{CameraInfo, Frame, Image, Sensor};

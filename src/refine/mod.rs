@@ -4,11 +4,13 @@
 //! predicts what every shading image shows. Each outer round re-estimates visibility, the pose and gain of each view, the
 //! albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed normals.
 //!
-//! Not handled: the emitter's own offset, interreflection beyond what the gain field takes up, specular highlights beyond
+//! Light that arrives over other surfaces is predicted beside the lamp's. Not handled: the emitter's own offset, specular highlights beyond
 //! what the robust loss rejects.
 
 mod albedo;
 mod alignment;
+#[cfg(test)]
+mod corner_tests;
 mod couplings;
 mod crop;
 mod energy;

@@ -139,7 +139,7 @@ impl View {
         let seen = self.look(point_world)?;
         let inv_sigma = 1.0 / seen.sigma;
         let world_from_camera = self.camera_from_world.rotation.inverse();
-        let light = world_from_camera * self.light().incident(&seen.point_camera);
+        let light = world_from_camera * self.arriving(&seen.point_camera, &seen.pixel);
         let narrow = |v: Vector3<f64>| [v.x, v.y, v.z].map(|x| x as f32);
         Some(Observation {
             observed: (seen.observed * inv_sigma) as f32,

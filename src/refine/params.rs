@@ -26,6 +26,8 @@ pub struct RefineParams {
     pub slope_sigma_rad: f64,
     /// Materials told apart by their albedo at most.
     pub max_albedos: usize,
+    /// Whether light that arrives over other surfaces is predicted beside that of Eq. (1).
+    pub interreflection: bool,
     /// How far Eq. (1) is believed.
     pub trust: ImageTrust,
     /// Alignment of the views.
@@ -43,6 +45,7 @@ impl Default for RefineParams {
             patch_sigma_m: 0.0001,
             slope_sigma_rad: 0.15,
             max_albedos: 4,
+            interreflection: true,
             trust: ImageTrust::default(),
             alignment: AlignmentParams::default(),
         }

@@ -14,6 +14,7 @@ use super::sites::{Sites, ViewSet};
 use super::solver::Pattern;
 use super::view::{Optics, SATURATION, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::interreflection::WhiteLevel;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -75,11 +76,16 @@ impl Preparation {
             centre,
             optics,
             trust: &params.trust,
+            patches: &optics.patch_grid(),
         };
-        let views: Vec<View> = snapshots
+        let mut views: Vec<View> = snapshots
             .par_iter()
             .map(|snapshot| View::new(snapshot, &context))
             .collect();
+        if params.interreflection {
+            let white = optics.white_level().or_else(|| plausible_white(&views));
+            views.iter_mut().for_each(|view| view.white = white);
+        }
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
         let couplings = Couplings::new(&mesh, &edges, &patches);
@@ -179,6 +185,17 @@ impl Preparation {
             },
         }
     }
+}
+
+/// The median of what is plausible for each view: a scan has one light.
+fn plausible_white(views: &[View]) -> Option<WhiteLevel> {
+    let plausible = views.iter().filter_map(|view| view.plausible_white);
+    let mut plausible: Vec<f64> = plausible.map(|WhiteLevel(white)| white).collect();
+    let middle = plausible.len() / 2;
+    (middle < plausible.len()).then(|| {
+        let (_, median, _) = plausible.select_nth_unstable_by(middle, f64::total_cmp);
+        WhiteLevel(*median)
+    })
 }
 
 /// The first so many views.

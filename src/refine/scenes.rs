@@ -184,6 +184,7 @@ pub fn views(hidden: &RippledPlane, base: &TriMesh, optics: &Optics, poses: &[Po
         centre,
         optics,
         trust: &trust,
+        patches: &optics.patch_grid(),
     };
     poses
         .iter()

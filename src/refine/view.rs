@@ -3,6 +3,7 @@
 
 use super::gain_field::GainField;
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, rasterise};
+use crate::interreflection::{IndirectLight, LitScene, PatchGrid, WhiteLevel};
 use crate::shading::{Calibration, LinearImage, NearLight, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics};
@@ -22,6 +23,23 @@ pub struct Optics<'a> {
     pub calibration: &'a Calibration,
 }
 
+impl Optics<'_> {
+    /// The patches that light one another in an image.
+    pub(super) fn patch_grid(&self) -> PatchGrid {
+        PatchGrid::new(
+            self.rays.clone(),
+            self.light,
+            self.full_scale,
+            self.calibration,
+        )
+    }
+
+    /// The white level, if the device's calibration tells it.
+    pub(super) fn white_level(&self) -> Option<WhiteLevel> {
+        self.calibration.light.white_level.map(WhiteLevel)
+    }
+}
+
 /// What all views of one refinement share.
 pub struct ViewContext<'a> {
     /// The whole base mesh, which hides the object from camera and light.
@@ -32,6 +50,8 @@ pub struct ViewContext<'a> {
     pub optics: &'a Optics<'a>,
     /// How far Eq. (1) is believed.
     pub trust: &'a ImageTrust,
+    /// The patches that light one another in every image.
+    pub patches: &'a PatchGrid,
 }
 
 /// What a pixel's noise is not: how far Eq. (1), the poses and the sampling can be believed.
@@ -67,6 +87,11 @@ impl Default for ImageTrust {
 pub struct View {
     camera: CameraModel,
     light: NearLight,
+    indirect: Arc<IndirectLight>,
+    /// The white level if the brightest surfaces of this view are plaster.
+    pub plausible_white: Option<WhiteLevel>,
+    /// What scales the indirect light; `None` for none.
+    pub white: Option<WhiteLevel>,
     linear: Arc<LinearImage>,
     /// Surface seen from the camera, metres.
     camera_depth_m: Arc<Image<f32>>,
@@ -117,7 +142,7 @@ pub struct Look {
 pub struct Sample {
     /// What the view shows there.
     pub look: Look,
-    /// `gain · field · (n·l)/d²`: the prediction for unit albedo.
+    /// `gain · field · n·E`, with E as of [`View::arriving`]: the prediction for unit albedo.
     pub unit_prediction: f64,
     /// The normal in the camera frame.
     pub normal_camera: Vector3<f64>,
@@ -139,6 +164,7 @@ impl View {
             centre,
             optics,
             trust,
+            patches,
         } = *context;
         let camera = *optics.rays.camera();
         let camera_from_world = snapshot.world_from_camera.inverse();
@@ -159,11 +185,16 @@ impl View {
             optics.rays,
         );
         mask_edges_and_occluders(&mut linear.value, &camera_depth_m, &snapshot.depth_m);
+        let model_depth_m = camera_depth_m.map(|&z| if z.is_finite() { z } else { 0.0 });
+        let lit = LitScene::new(patches, &model_depth_m, &snapshot.ir_counts);
         let distance_m = (camera_from_world * centre).z.max(0.1);
         let cell_px = (trust.gain_cell_m * camera.intrinsics().fx / distance_m).max(4.0);
         View {
             camera,
             light: optics.light,
+            indirect: Arc::new(IndirectLight::new(&lit, &model_depth_m, optics.rays)),
+            plausible_white: lit.plausible_white(),
+            white: None,
             linear: Arc::new(linear),
             camera_depth_m: Arc::new(camera_depth_m),
             light_model,
@@ -222,7 +253,7 @@ impl View {
     pub fn sample(&self, point_world: &Point3<f64>, normal_world: &Vector3<f64>) -> Option<Sample> {
         let look = self.look(point_world)?;
         let normal_camera = self.camera_from_world * normal_world;
-        let irradiance = self.light.irradiance(&look.point_camera, &normal_camera);
+        let irradiance = normal_camera.dot(&self.arriving(&look.point_camera, &look.pixel));
         let unit_prediction = look.gain * irradiance;
         (unit_prediction > 0.0).then_some(Sample {
             look,
@@ -231,7 +262,7 @@ impl View {
         })
     }
 
-    /// `gain · field · (n·l)/d²` at a point, whatever its pixel showed; `None` where it does not project or is not lit.
+    /// `gain · field · n·E`, with E as of [`Self::arriving`], at a point, whatever its pixel showed; `None` where it does not project or is not lit.
     pub fn unit_prediction(
         &self,
         point_world: &Point3<f64>,
@@ -243,7 +274,7 @@ impl View {
             return None;
         }
         let normal_camera = self.camera_from_world * normal_world;
-        let irradiance = self.light.irradiance(&point_camera, &normal_camera);
+        let irradiance = normal_camera.dot(&self.arriving(&point_camera, &pixel));
         (irradiance > 0.0).then(|| self.gain * self.gain_field.at(&pixel) * irradiance)
     }
 
@@ -252,6 +283,15 @@ impl View {
         let (_, jacobian) = self.camera.project_with_jacobian(&look.point_camera)?;
         let [du, dv] = look.gradient;
         Some((jacobian.row(0) * du + jacobian.row(1) * dv).transpose())
+    }
+
+    /// Light that arrives at a point (m, camera frame), from the light as of Eq. (1) and over other surfaces, as a vector
+    /// whose product with the unit normal is the prediction for unit albedo and gain.
+    #[inline]
+    pub fn arriving(&self, point_camera: &Point3<f64>, pixel: &Vector2<f64>) -> Vector3<f64> {
+        let direct = self.light.incident(point_camera);
+        self.white
+            .map_or(direct, |white| direct + self.indirect.at(pixel, white))
     }
 
     /// The camera.

@@ -13,10 +13,17 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
     ("fusion", &["geometry", "shading"]),
-    ("multipath", &["geometry", "shading", "fusion"]),
+    ("interreflection", &["geometry", "shading"]),
+    (
+        "multipath",
+        &["geometry", "shading", "interreflection", "fusion"],
+    ),
     ("snapshot", &["geometry", "shading", "fusion"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
-    ("refine", &["geometry", "shading", "snapshot"]),
+    (
+        "refine",
+        &["geometry", "shading", "interreflection", "snapshot"],
+    ),
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("evaluate", &["geometry", "shading"]),
@@ -37,6 +44,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         &[
             "geometry",
             "shading",
+            "interreflection",
             "capture",
             "multipath",
             "fusion",

@@ -80,7 +80,10 @@ impl PatchGrid {
     }
 
     /// The patches of a frame, row by row; `None` where depth is missing or holds an edge.
-    pub fn patches(&self, depth_m: &Image<f32>, ir: &Image<u16>) -> Vec<Option<Lit>> {
+    pub fn patches<T>(&self, depth_m: &Image<f32>, ir_counts: &Image<T>) -> Vec<Option<Lit>>
+    where
+        T: Copy + Into<f64> + Send + Sync,
+    {
         (0..self.cells.n_cells())
             .into_par_iter()
             .map(|cell| {
@@ -89,7 +92,8 @@ impl PatchGrid {
                 let (mut sum, mut n) = (0.0, 0);
                 for (u, v) in square.pixels() {
                     if *depth_m.at(u, v) > 0.0 {
-                        let observed = f64::from(*ir.at(u, v)) * self.inv_full_scale;
+                        let counts: f64 = (*ir_counts.at(u, v)).into();
+                        let observed = counts * self.inv_full_scale;
                         sum += observed.powf(self.inv_gamma);
                         n += 1;
                     }

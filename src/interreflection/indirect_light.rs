@@ -1,0 +1,140 @@
+//! Light that arrives over other surfaces, for shading: Eq. (1) with more than the lamp.
+//!
+//! A Lambertian patch that looks L bright sends `L cosθ dA/r²` along the way to a point. The sum over all patches above the
+//! point's horizon, as a vector towards them, is to be added to what comes from the light: its product with the normal is
+//! what a perfectly white surface would show of it, so that the derivative by the normal stays what it is. It varies slowly,
+//! and is known on cells of the image.
+
+use super::sources::{LANES, MIN_DISTANCE_M, Sources};
+use super::{LitScene, WhiteLevel};
+use crate::geometry::{CellGrid, DepthPatch, RayGrid};
+use depth_camera::Image;
+use nalgebra::{Vector2, Vector3};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+/// Columns of cells: 8 pixels a cell on a Kinect II.
+const COLUMNS: usize = 64;
+/// Pixels between those that a cell's plane is fitted to.
+const STEP_PX: usize = 2;
+
+/// Indirect light over an image, for a white level of 1/π, camera frame.
+#[derive(Clone, Debug)]
+pub struct IndirectLight {
+    cells: CellGrid,
+    arriving: Vec<Vector3<f32>>,
+}
+
+impl IndirectLight {
+    /// The light that the surfaces of a scene send one another where `depth_m` (metres, 0 is none) has them.
+    pub fn new(scene: &LitScene, depth_m: &Image<f32>, rays: &RayGrid) -> Self {
+        let cells = CellGrid::new(depth_m.width(), depth_m.height(), COLUMNS);
+        let (sources, arch) = (scene.sources(), Arch::new());
+        let arriving: Vec<Option<Vector3<f32>>> = (0..cells.n_cells())
+            .into_par_iter()
+            .map(|cell| {
+                let DepthPatch { centre, normal, .. } =
+                    DepthPatch::fit(depth_m, rays, cells.square(cell, STEP_PX))?;
+                Some(arch.dispatch(Arriving {
+                    point: centre.coords.cast(),
+                    normal: normal.cast(),
+                    sources: &sources,
+                }))
+            })
+            .collect();
+        IndirectLight {
+            arriving: cells.filled(&arriving),
+            cells,
+        }
+    }
+
+    /// The light that arrives at a pixel, as a vector towards where it comes from, in the unit of
+    /// [`NearLight::incident`](crate::shading::NearLight::incident).
+    #[inline]
+    pub fn at(&self, pixel: &Vector2<f64>, white: WhiteLevel) -> Vector3<f64> {
+        let around = self.cells.around(pixel);
+        let sum = around.iter().fold(Vector3::zeros(), |sum, &(cell, share)| {
+            sum + self.arriving[cell] * share
+        });
+        sum.cast() * white.strength()
+    }
+}
+
+/// What arrives at one point.
+struct Arriving<'a> {
+    point: Vector3<f32>,
+    normal: Vector3<f32>,
+    sources: &'a Sources,
+}
+
+impl WithSimd for Arriving<'_> {
+    type Output = Vector3<f32>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Vector3<f32> {
+        let ([px, py, pz], [nx, ny, nz]): ([f32; 3], [f32; 3]) =
+            (self.point.into(), self.normal.into());
+        let mut sums = [[0.0f32; LANES]; 3];
+        for [x, y, z, mx, my, mz, power, _] in self.sources.steps() {
+            for i in 0..LANES {
+                let (dx, dy, dz) = (x[i] - px, y[i] - py, z[i] - pz);
+                let squared = dx * dx + dy * dy + dz * dz;
+                let here = nx * dx + ny * dy + nz * dz;
+                let there = -(mx[i] * dx + my[i] * dy + mz[i] * dz);
+                let there = if here > 0.0 && there > 0.0 {
+                    there
+                } else {
+                    0.0
+                };
+                let nearest = MIN_DISTANCE_M * MIN_DISTANCE_M;
+                let apart = if squared > nearest { squared } else { nearest };
+                let sent = power[i] * there / (apart * apart);
+                sums[0][i] += sent * dx;
+                sums[1][i] += sent * dy;
+                sums[2][i] += sent * dz;
+            }
+        }
+        Vector3::from(sums.map(|sum| sum.iter().sum()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::interreflection::Lit;
+    use std::f64::consts::PI;
+
+    #[test]
+    fn a_wall_on_an_endless_bright_floor_receives_half_of_what_a_ceiling_would() {
+        // A floor of 8 m by 8 m, cut into squares of 40 mm, as bright everywhere.
+        let (side, n) = (0.04f32, 100);
+        let place = |k: i32| (k as f32 + 0.5) * side;
+        let floor: Vec<Lit> = (-n..n)
+            .flat_map(|i| (-n..n).map(move |j| [place(i), 0.0, place(j)]))
+            .map(|point| Lit {
+                point,
+                normal: [0.0, -1.0, 0.0],
+                area_m2: side * side,
+                radiance: 0.7,
+                direct: 1.0,
+                light_m: 1.0,
+            })
+            .collect();
+        let sources = Sources::new(floor.iter());
+        let received = |normal: Vector3<f32>| {
+            let point = Vector3::new(0.0, -0.15, 0.0);
+            let kernel = Arriving {
+                point,
+                normal,
+                sources: &sources,
+            };
+            f64::from(Arch::new().dispatch(kernel).dot(&normal))
+        };
+        // The form factor of the hemisphere is π; a floor that ends lacks a little of it, most where it is seen at a grazing angle.
+        let ceiling = received(Vector3::y());
+        assert!((ceiling / (0.7 * PI) - 1.0).abs() < 0.02, "{ceiling}");
+        let wall = received(Vector3::x());
+        assert!((wall / (0.7 * PI / 2.0) - 1.0).abs() < 0.05, "{wall}");
+        assert_eq!(received(-Vector3::y()), 0.0);
+    }
+}
