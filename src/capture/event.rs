@@ -88,6 +88,11 @@ pub enum EventKind {
         /// Why not.
         reason: String,
     },
+    /// Frames are no longer recorded; the scan goes on.
+    RecordingStopped {
+        /// Why.
+        reason: String,
+    },
     /// The scan as it is was written down, to be refined.
     Interim {
         /// Where.

@@ -6,11 +6,15 @@
 mod continuity;
 mod device;
 mod event;
+mod frame_recorder;
+mod infrared_rate;
 mod ir_offset;
 mod recorder;
 
 pub use device::{CaptureEnd, CaptureSummary, Delivery, DeviceHealth, run_device};
 pub use event::{Event, EventKind, Tracked};
+pub use frame_recorder::{RecordFormat, RecordingStanding};
+pub use infrared_rate::InfraredRate;
 pub use ir_offset::IrOffset;
 pub use recorder::{Recorder, RecorderSummary};
 
@@ -31,6 +35,12 @@ pub struct CaptureParams {
     pub record_depth_units_per_metre: f64,
     /// Kinect I: how the projector's speckle is kept out of shading images.
     pub shading: ShadingStrategy,
+    /// What frames are recorded as.
+    pub record_format: RecordFormat,
+    /// Which infrared images are recorded, with [`RecordFormat::Mcap`].
+    pub record_ir: InfraredRate,
+    /// Recording stops before there is less room on the disk, megabytes (10⁶ bytes), 0 to 1000000.
+    pub min_free_disk_mb: u32,
 }
 
 /// How a Kinect I comes by IR images without its projector's speckle.
@@ -45,6 +55,9 @@ pub enum ShadingStrategy {
     StopDepth,
 }
 
+/// More than any disk's reserve.
+const MAX_FREE_DISK_MB: u32 = 1_000_000;
+
 impl Default for CaptureParams {
     fn default() -> Self {
         CaptureParams {
@@ -53,6 +66,9 @@ impl Default for CaptureParams {
             reconnect_secs: 600.0,
             record_depth_units_per_metre: 5000.0,
             shading: ShadingStrategy::default(),
+            record_format: RecordFormat::default(),
+            record_ir: InfraredRate::default(),
+            min_free_disk_mb: 1000,
         }
     }
 }
@@ -78,7 +94,17 @@ impl CaptureParams {
                 return Err(format!("capture.{key} is {value}, must be {low} to {high}"));
             }
         }
+        if self.min_free_disk_mb > MAX_FREE_DISK_MB {
+            return Err(format!(
+                "capture.min_free_disk_mb is {}, must be at most {MAX_FREE_DISK_MB}",
+                self.min_free_disk_mb
+            ));
+        }
         Ok(())
+    }
+
+    fn min_free_bytes(&self) -> u64 {
+        u64::from(self.min_free_disk_mb) * 1_000_000
     }
 
     fn grab_timeout(&self) -> Duration {

@@ -1,13 +1,18 @@
 //! The recorder: writes frames as a session, and events as lines of JSON, as they come.
 
-use super::{Event, Tracked};
+use super::{
+    CaptureParams, Event, EventKind, Tracked,
+    frame_recorder::{FrameRecorder, RecordingStanding, Stopped},
+};
 use crate::geometry::Pose;
 use depth_camera::{CameraInfo, Frame};
-use replay::{SessionWriter, WriteError};
+use mcap_session::RecordingError;
+use replay::WriteError;
 use std::{
     fs::{File, OpenOptions},
-    io::{self, Write},
+    io::Write,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 /// What the recorder wrote.
@@ -24,12 +29,16 @@ pub struct RecorderSummary {
 }
 
 /// Writes what it is given into one folder, and collects the trajectory. The first failure to write ends that recording, and is told once.
-#[derive(Debug)]
 pub struct Recorder {
-    session: Option<SessionWriter>,
-    session_path: PathBuf,
+    folder: PathBuf,
+    frames: Option<FrameRecorder>,
     events: Option<File>,
     events_path: PathBuf,
+    /// The newest frame, which what happens to the recording itself is told of.
+    newest: Option<(u64, f64)>,
+    /// What happened to the recording itself and was not fetched yet.
+    own_events: Vec<Event>,
+    has_failed: bool,
     summary: RecorderSummary,
 }
 
@@ -49,29 +58,32 @@ impl Recorder {
                 source,
             })?;
         Ok(Recorder {
-            session: None,
-            session_path: folder.join("session"),
+            folder: folder.to_owned(),
+            frames: None,
             summary: RecorderSummary {
                 outputs: vec![events_path.clone()],
                 ..RecorderSummary::default()
             },
             events: Some(events),
             events_path,
+            newest: None,
+            own_events: Vec::new(),
+            has_failed: false,
         })
     }
 
-    /// The same recorder, which also writes frames of a camera into `session` of its folder.
+    /// The same recorder, which also writes frames of a camera into a folder of its own beside the events.
     ///
     /// # Errors
     /// If the recording cannot be begun.
     pub fn with_frames(
         mut self,
         info: &CameraInfo,
-        depth_units_per_metre: f64,
-    ) -> Result<Self, WriteError> {
-        let session = SessionWriter::create(&self.session_path, info, depth_units_per_metre)?;
-        self.session = Some(session);
-        self.summary.outputs.push(self.session_path.clone());
+        params: &CaptureParams,
+    ) -> Result<Self, RecordingError> {
+        let frames = FrameRecorder::create(&self.folder, info, params)?;
+        self.summary.outputs.push(frames.folder().to_owned());
+        self.frames = Some(frames);
         Ok(self)
     }
 
@@ -79,134 +91,132 @@ impl Recorder {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn with_text(mut self, name: &str, text: &str) -> Result<Self, WriteError> {
-        if let Some(session) = &mut self.session {
-            session.write_text(name, text)?;
+    pub fn with_text(self, name: &str, text: &str) -> Result<Self, WriteError> {
+        if let Some(frames) = &self.frames {
+            frames.write_text(name, text)?;
         }
         Ok(self)
     }
 
     /// Records a frame.
-    pub fn frame(&mut self, frame: &Frame) {
-        let Some(session) = &mut self.session else {
-            return;
-        };
-        match session.write(frame) {
-            Ok(()) => self.summary.n_recorded += 1,
-            Err(error @ WriteError::Frame { .. }) => {
-                tracing::warn!(%error, "frame not recorded");
-            }
-            Err(error) => {
-                self.fail(format!("recording stopped: {error}"));
-                self.finish_session();
-            }
-        }
+    pub fn frame(&mut self, frame: &Arc<Frame>) {
+        self.newest = Some((frame.frame_id, frame.device_time_secs));
+        self.with_recording(|frames| frames.frame(frame));
     }
 
     /// Records what tracking tells.
     pub fn tracked(&mut self, tracked: Tracked) {
         match tracked {
-            Tracked::Pose(time_secs, pose) => self.summary.trajectory.push((time_secs, pose)),
+            Tracked::Pose(time_secs, pose) => {
+                self.summary.trajectory.push((time_secs, pose));
+                self.with_recording(|frames| frames.pose(time_secs, &pose));
+            }
             Tracked::Corrected(trajectory) => self.summary.trajectory = trajectory,
-            Tracked::Event(event) => self.event(&event),
+            Tracked::Event(event) => {
+                if let EventKind::Snapshot { .. } = event.kind {
+                    self.with_recording(|frames| frames.snapshot(event.frame_id));
+                }
+                self.event(&event);
+            }
         }
     }
 
+    /// Does what is due though nothing comes, at least every tenth of a second.
+    pub fn tick(&mut self) {
+        self.with_recording(FrameRecorder::tick);
+    }
+
+    /// Takes note of frames and infrared images that the recorder was too busy for.
+    pub fn note_dropped(&mut self, frames: u64, infrared: u64) {
+        if let Some(recording) = &mut self.frames {
+            recording.note_dropped(frames, infrared);
+        }
+    }
+
+    /// How the recording of frames stands, if there is one.
+    pub fn standing(&self) -> Option<&RecordingStanding> {
+        self.frames.as_ref().map(FrameRecorder::standing)
+    }
+
+    /// What happened to the recording itself since this was asked last; it is recorded already.
+    pub fn take_events(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.own_events)
+    }
+
+    /// Whether something could not be written.
+    pub fn has_failed(&self) -> bool {
+        self.has_failed
+    }
+
+    /// Ends the recording of frames in order.
+    pub fn end_frames(&mut self) {
+        self.with_recording(FrameRecorder::finish);
+    }
+
+    /// Ends the recording.
+    pub fn finish(mut self) -> RecorderSummary {
+        self.end_frames();
+        let recorded = self.standing().map_or(0, |standing| standing.recorded);
+        self.summary.n_recorded = recorded as usize;
+        self.summary
+    }
+
+    /// Does something with the recording of frames, and tells of it if that ends it.
+    fn with_recording(&mut self, act: impl FnOnce(&mut FrameRecorder) -> Option<Stopped>) {
+        let Some(stopped) = self.frames.as_mut().and_then(act) else {
+            return;
+        };
+        let reason = match stopped {
+            Stopped::DiskFloor(reason) => {
+                self.tell(reason.clone());
+                reason
+            }
+            Stopped::Failed(reason) => {
+                self.fail(reason.clone());
+                reason
+            }
+        };
+        let event = Event {
+            frame_id: self.newest.map_or(0, |(frame_id, _)| frame_id),
+            device_time_secs: self.newest.map(|(_, secs)| secs),
+            kind: EventKind::RecordingStopped { reason },
+        };
+        self.event(&event);
+        self.own_events.push(event);
+    }
+
     fn event(&mut self, event: &Event) {
+        let line = match serde_json::to_string(event) {
+            Ok(line) => line,
+            Err(error) => return self.fail(format!("an event is not written: {error}")),
+        };
+        self.with_event_in_recording(event, &line);
         let Some(file) = &mut self.events else {
             return;
         };
-        if let Err(error) = write_line(file, event) {
+        // One whole line by one call, so that a process that is killed leaves no half of one.
+        if let Err(error) = file.write_all(format!("{line}\n").as_bytes()) {
             self.events = None;
             let path = self.events_path.display();
             self.fail(format!("events are no longer written: {path}: {error}"));
         }
     }
 
-    /// Whether something could not be written.
-    pub fn has_failed(&self) -> bool {
-        !self.summary.failures.is_empty()
-    }
-
-    /// Ends the recording.
-    pub fn finish(mut self) -> RecorderSummary {
-        self.finish_session();
-        self.summary
-    }
-
-    fn finish_session(&mut self) {
-        let finished = self.session.take().map(SessionWriter::finish).transpose();
-        if let Err(error) = finished {
-            self.fail(format!("the recording is not safe on the disk: {error}"));
-        }
+    fn with_event_in_recording(&mut self, event: &Event, line: &str) {
+        // A recording that has ended takes no more, so that telling of its end ends here.
+        self.with_recording(|frames| frames.event(event.device_time_secs, line));
     }
 
     fn fail(&mut self, what: String) {
+        self.has_failed = true;
+        self.tell(what);
+    }
+
+    fn tell(&mut self, what: String) {
         tracing::error!("{what}");
         self.summary.failures.push(what);
     }
 }
 
-/// Appends one whole line by one call, so that a process that is killed leaves no half of one.
-fn write_line(file: &mut File, event: &Event) -> io::Result<()> {
-    let mut line = serde_json::to_vec(event)?;
-    line.push(b'\n');
-    file.write_all(&line)
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::capture::EventKind;
-    use depth_camera::DepthCamera;
-    use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
-    use std::{fs, time::Duration};
-
-    fn small_camera() -> SimulatedCamera {
-        SimulatedCamera::new(Setup {
-            scene: Scene::plaque(),
-            trajectory: Trajectory::hand_held(nalgebra::Point3::origin(), 2),
-            sensor: depth_camera::Sensor::Kinect2,
-            infrared: Infrared::of_sensor(depth_camera::Sensor::Kinect2),
-            n_moving_frames: 2,
-            shading_frames: Vec::new(),
-            reduction: 4,
-            seed: 1,
-        })
-        .unwrap()
-    }
-
-    #[test]
-    fn frames_and_events_are_read_back() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut camera = small_camera();
-        let mut recorder = Recorder::new(folder.path())
-            .unwrap()
-            .with_frames(camera.info(), 5000.0)
-            .and_then(|recorder| recorder.with_text("note.txt", "by lamplight"))
-            .unwrap();
-        let event = Event {
-            frame_id: 1,
-            device_time_secs: Some(100.5),
-            kind: EventKind::Lost {
-                reason: "jump".into(),
-                code: "too_fast",
-            },
-        };
-        while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
-            recorder.frame(&frame);
-        }
-        recorder.tracked(Tracked::Event(event));
-        let summary = recorder.finish();
-        assert_eq!((summary.n_recorded, summary.failures.len()), (2, 0));
-        let replayed = replay::ReplayCamera::open(&folder.path().join("session")).unwrap();
-        assert_eq!(replayed.info().n_frames, Some(2));
-        let note = fs::read_to_string(folder.path().join("session/note.txt")).unwrap();
-        assert_eq!(note, "by lamplight");
-        let lines = fs::read_to_string(folder.path().join("events.jsonl")).unwrap();
-        assert_eq!(
-            lines,
-            "{\"frame_id\":1,\"device_time_secs\":100.5,\"event\":\"lost\",\"reason\":\"jump\",\"code\":\"too_fast\"}\n"
-        );
-    }
-}
+mod tests;

@@ -9,7 +9,8 @@ use super::{
     run::{self, Verdict},
 };
 use anyhow::Context;
-use depth_camera::{DepthCamera, Image};
+use depth_camera::{CameraInfo, Image};
+use mcap_session::open_session;
 use relief::{
     config::{self, CalibrationPlaces, Config},
     evaluate::{PosePair, TrajectoryError, trajectory_error},
@@ -17,7 +18,7 @@ use relief::{
     geometry::CameraModel,
     pipeline::{GivenPoses, infrared_optics, peak_memory_bytes},
 };
-use replay::ReplayCamera;
+use replay::Pacing;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 use std::{
@@ -96,17 +97,14 @@ const LIVE_EVERY_FRAMES: usize = 10;
 /// `relief bench`.
 pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
-    let mut camera = ReplayCamera::open(&args.session)?;
+    let mut camera = open_session(&args.session, Pacing::AsFastAsPossible)?.camera;
     let n_threads = args.threads.unwrap_or_else(run::all_processors);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(n_threads.get())
         .build()?;
     let truth = measured_poses(&args.session)?;
-    let mut run = Run::new(
-        &camera,
-        &config,
-        calibrated_infrared(args, &config, &camera)?,
-    );
+    let infrared = calibrated_infrared(args, &config, camera.info())?;
+    let mut run = Run::new(camera.info(), &config, infrared);
     while let Some(frame) = camera.grab(Duration::ZERO)? {
         if let Some(depth) = &frame.depth {
             if let Some(ir) = &frame.ir {
@@ -147,24 +145,20 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
 fn calibrated_infrared(
     args: &BenchArgs,
     config: &Config,
-    camera: &ReplayCamera,
+    info: &CameraInfo,
 ) -> anyhow::Result<Option<InfraredOptics>> {
     let places = CalibrationPlaces {
         given: None,
         folder: &run::calibration_folder(None, args.config.as_deref()),
-        session: Some(&args.session),
+        session: Some(run::session_folder(&args.session)),
     };
-    let found = config::find_calibration(camera.info(), &places)?;
-    Ok(infrared_optics(
-        &config.fusion,
-        &found.calibration,
-        camera.info(),
-    ))
+    let found = config::find_calibration(info, &places)?;
+    Ok(infrared_optics(&config.fusion, &found.calibration, info))
 }
 
 /// The measured poses that lie beside a recording, if there are any.
 fn measured_poses(session: &Path) -> anyhow::Result<Option<GivenPoses>> {
-    let path = session.join("groundtruth.txt");
+    let path = run::session_folder(session).join("groundtruth.txt");
     if !path.exists() {
         return Ok(None);
     }
@@ -189,8 +183,7 @@ struct Run {
 }
 
 impl Run {
-    fn new(camera: &ReplayCamera, config: &Config, infrared: Option<InfraredOptics>) -> Self {
-        let info = camera.info();
+    fn new(info: &CameraInfo, config: &Config, infrared: Option<InfraredOptics>) -> Self {
         let model = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
         let fusion = Fusion::new(model, noise, config.fusion.clone());

@@ -11,7 +11,6 @@ use super::{numbers, run::Verdict};
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use depth_camera::{DepthCamera, Frame};
-use replay::ReplayCamera;
 use std::{path::PathBuf, str::FromStr, time::Duration};
 use targets::Aim;
 
@@ -57,7 +56,7 @@ pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
 }
 
 /// The next frame of a recording that is not damaged; `None` at its end.
-fn next_frame(camera: &mut ReplayCamera) -> anyhow::Result<Option<Frame>> {
+fn next_frame(camera: &mut dyn DepthCamera) -> anyhow::Result<Option<Frame>> {
     loop {
         match camera.grab(Duration::ZERO) {
             Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),

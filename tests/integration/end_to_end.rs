@@ -2,6 +2,7 @@
 
 use crate::support::{record, small_camera};
 use depth_camera::{DepthCamera, Image};
+use mcap_session::open_session;
 use nalgebra::Isometry3;
 use relief::{
     capture::CaptureParams,
@@ -14,7 +15,7 @@ use relief::{
     shading::Calibration,
     snapshot::SnapshotParams,
 };
-use replay::{ReplayCamera, SessionWriter};
+use replay::{Pacing, SessionWriter};
 use std::{fs, num::NonZeroUsize, path::Path, time::Duration};
 
 const N_FRAMES: usize = 12;
@@ -23,7 +24,10 @@ const N_FRAMES: usize = 12;
 pub fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
     PipelineParams {
         session: "plaque".to_owned(),
-        capture: CaptureParams::default(),
+        capture: CaptureParams {
+            min_free_disk_mb: 0,
+            ..CaptureParams::default()
+        },
         multipath: MultipathParams { enabled: false },
         fusion: FusionParams {
             voxel_size_m: 0.003,
@@ -53,12 +57,12 @@ fn shipped() -> Calibration {
 }
 
 fn run(session: &Path, out: &Path, n_threads: usize, calibration: Calibration) -> Outcome {
-    let camera = ReplayCamera::open(session).unwrap();
+    let camera = open_session(session, Pacing::AsFastAsPossible)
+        .unwrap()
+        .camera;
     let folder = OutputFolder::claim(out).unwrap();
     let params = params(n_threads, calibration);
-    let outcome = Pipeline::spawn(Box::new(camera), params, folder)
-        .unwrap()
-        .join();
+    let outcome = Pipeline::spawn(camera, params, folder).unwrap().join();
     assert_eq!(outcome.failures, Vec::<String>::new());
     assert_eq!(outcome.ending, Ending::Complete);
     outcome
@@ -97,8 +101,8 @@ fn a_recording_becomes_meshes_and_a_report_the_same_on_any_number_of_threads() {
         "trajectory.txt",
         "events.jsonl",
         "snapshots/000/ir.png",
-        "session/depth.txt",
-        "session/calibration.toml",
+        "recording/segment-0000.mcap",
+        "recording/calibration.toml",
         "report.html",
         "report.json",
     ] {
@@ -153,8 +157,8 @@ fn a_known_offset_of_the_infrared_image_changes_nothing_but_its_border() {
         run(&session, &out, 2, calibration.clone());
         // A recording keeps what the camera delivered, and what it takes to make the same of it again.
         let again = root.path().join(format!("{name}-again"));
-        run(&out.join("session"), &again, 2, calibration.clone());
-        let recorded = fs::read_to_string(out.join("session/calibration.toml")).unwrap();
+        run(&out.join("recording"), &again, 2, calibration.clone());
+        let recorded = fs::read_to_string(out.join("recording/calibration.toml")).unwrap();
         assert_eq!(Calibration::from_toml(&recorded), Ok(calibration));
         for name in ["base.ply", "refined.ply"] {
             let same = fs::read(out.join(name)).unwrap() == fs::read(again.join(name)).unwrap();

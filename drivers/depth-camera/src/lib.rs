@@ -99,6 +99,16 @@ pub struct Light {
     pub kind: LightKind,
 }
 
+impl Light {
+    /// The emitter of a Kinect II where its own ranging has it, 45 mm beside the camera, in images that are not mirrored.
+    pub fn kinect2_emitter() -> Self {
+        Light {
+            position_m: [-0.045, 0.0, 0.0],
+            kind: LightKind::Emitter,
+        }
+    }
+}
+
 /// A camera's description of itself, fixed while it streams.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraInfo {

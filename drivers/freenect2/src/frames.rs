@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use depth_camera::{CameraInfo, Frame, Light, LightKind, Sensor};
+use depth_camera::{CameraInfo, Frame, Light, Sensor};
 
 use crate::{
     decoder::{Decoded, Decoder, DecoderError},
@@ -10,7 +10,6 @@ use crate::{
     options::DecoderOptions,
     p0_tables::P0Tables,
     packet::RawPacket,
-    unwrap::EMITTER_OFFSET_M,
 };
 
 /// Threads that decode: one keeps up with the sensor, two leave it time for fusion.
@@ -93,10 +92,7 @@ pub(crate) fn camera_info(
         intrinsics: camera.intrinsics(true),
         ir_full_scale: Some(f64::from(u16::MAX)),
         ir_gain: None,
-        light: Some(Light {
-            position_m: [-EMITTER_OFFSET_M, 0.0, 0.0],
-            kind: LightKind::Emitter,
-        }),
+        light: Some(Light::kinect2_emitter()),
         n_frames,
     }
 }

@@ -8,6 +8,7 @@ use std::{
 use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image};
 
 use crate::{
+    depth_scale::DepthScale,
     lists::{self, Moment},
     pacing::{Pacer, Pacing},
     session::{self, SessionFile},
@@ -21,7 +22,7 @@ use crate::{
 pub struct ReplayCamera {
     folder: PathBuf,
     info: CameraInfo,
-    depth_units_per_metre: f64,
+    depth_scale: DepthScale,
     moments: Vec<Moment>,
     next: usize,
     /// Times that the recording was played to its end; `None` if it is played once.
@@ -55,7 +56,7 @@ impl ReplayCamera {
         Ok(ReplayCamera {
             folder: folder.to_owned(),
             info,
-            depth_units_per_metre: session.depth_units_per_metre,
+            depth_scale: session.depth_scale(),
             moments,
             next: 0,
             n_repeats: None,
@@ -109,6 +110,11 @@ impl ReplayCamera {
         }
     }
 
+    /// How depth is stored, for another recording of the same.
+    pub fn depth_scale(&self) -> DepthScale {
+        self.depth_scale
+    }
+
     /// Decodes an image of the recording; an error names the file.
     fn read_image(&self, file_name: &str) -> Result<Image<u16>, String> {
         let path = self.folder.join(file_name);
@@ -119,14 +125,15 @@ impl ReplayCamera {
 
     /// Decodes the images of a moment, depth into metres.
     fn decode(&self, frame_id: u64, moment: &Moment) -> Result<Frame, String> {
-        let units = self.depth_units_per_metre;
-        let metres = |&value: &u16| (f64::from(value) / units) as f32;
+        let scale = self.depth_scale;
         let depth = moment.depth.as_deref().map(|name| self.read_image(name));
         let ir = moment.ir.as_deref().map(|name| self.read_image(name));
         Ok(Frame {
             frame_id,
             device_time_secs: moment.time_secs,
-            depth: depth.transpose()?.map(|image| image.map(metres)),
+            depth: depth
+                .transpose()?
+                .map(|image| image.map(|&units| scale.metres(units))),
             ir: ir.transpose()?,
             host_time: Instant::now(),
         })

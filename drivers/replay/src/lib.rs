@@ -15,7 +15,9 @@ mod camera;
 mod session;
 
 mod content;
+mod depth_scale;
 mod files;
+mod frame_check;
 mod lists;
 mod pacing;
 mod poses;
@@ -24,9 +26,12 @@ mod writer;
 
 pub use camera::ReplayCamera;
 pub use content::content_hash;
+pub use depth_scale::DepthScale;
 pub use files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file};
-pub use lists::{Entry, Moment, merge_lists, read_list};
+pub use frame_check::check_frame;
+pub use lists::{Entry, Moment, SAME_MOMENT_SECS, merge_lists, read_list};
 pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
+pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile};
 pub use sixteen_bit_png::{PngEffort, read as read_png};
 pub use writer::{SessionWriter, write_png};

@@ -10,7 +10,7 @@ use depth_camera::CameraError;
 use crate::session::invalid;
 
 /// Images at most this far apart belong together; frames of both sensors are 33 ms apart.
-const SAME_MOMENT_SECS: f64 = 0.010;
+pub const SAME_MOMENT_SECS: f64 = 0.010;
 
 /// Timestamps are decimal fractions: the difference of two of them is off by rounding.
 const ROUNDING_SECS: f64 = 1e-9;

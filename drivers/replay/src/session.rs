@@ -2,11 +2,12 @@
 
 use std::{fs, path::Path};
 
+use crate::depth_scale::DepthScale;
 use depth_camera::{CameraError, CameraInfo, Intrinsics, Light, LightKind, Sensor};
 use serde::{Deserialize, Serialize};
 
 /// The name of the description in a session's folder.
-pub(crate) const FILE_NAME: &str = "session.toml";
+pub const FILE_NAME: &str = "session.toml";
 
 /// Larger images than any depth camera delivers: a wrong size must not ask for gigabytes.
 const MAX_SIDE_PX: usize = 16_384;
@@ -16,14 +17,14 @@ const MAX_LIGHT_DISTANCE_M: f64 = 2.0;
 
 /// The contents of `session.toml`; keys that are not named here are for other readers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct SessionFile {
+pub struct SessionFile {
     name: String,
     sensor: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     serial: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     driver: Option<String>,
-    pub(crate) depth_units_per_metre: f64,
+    depth_units_per_metre: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     ir_full_scale: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,13 +59,44 @@ struct LightEntry {
 
 impl SessionFile {
     /// Reads a description; values are checked by [`Self::camera_info`].
-    pub(crate) fn read(path: &Path) -> Result<Self, CameraError> {
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] naming the file and what is wrong with its text.
+    pub fn read(path: &Path) -> Result<Self, CameraError> {
         let text = fs::read_to_string(path).map_err(|error| invalid(path, error))?;
-        toml::from_str(&text).map_err(|error| invalid(path, error.to_string().trim_end()))
+        Self::parse(path, &text)
+    }
+
+    /// The description in a text; `path` is named in errors.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] for a text that is none.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, CameraError> {
+        toml::from_str(text).map_err(|error| invalid(path, error.to_string().trim_end()))
+    }
+
+    /// The text of the description; numbers are read back to the last bit.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] for what cannot be written; `path` is named.
+    pub fn to_text(&self, path: &Path) -> Result<String, CameraError> {
+        toml::to_string(self).map_err(|error| invalid(path, error))
+    }
+
+    /// Whether the camera delivers IR.
+    pub fn has_infrared(&self) -> bool {
+        self.ir_full_scale.is_some() || self.light.is_some()
+    }
+
+    /// How depth is stored.
+    pub fn depth_scale(&self) -> DepthScale {
+        DepthScale {
+            units_per_metre: self.depth_units_per_metre,
+        }
     }
 
     /// The description of a camera about to be recorded.
-    pub(crate) fn of_camera(name: &str, info: &CameraInfo, depth_units_per_metre: f64) -> Self {
+    pub fn of_camera(name: &str, info: &CameraInfo, depth_units_per_metre: f64) -> Self {
         let i = &info.intrinsics;
         SessionFile {
             name: name.to_owned(),
@@ -96,13 +128,12 @@ impl SessionFile {
 
     /// The camera that this file describes, every value checked; `path` is named in errors.
     ///
-    /// `with_ir` says whether there is an IR list: its images are of no use without their scale, and those of a sensor that
-    /// lights them itself not without its light.
-    pub(crate) fn camera_info(
-        &self,
-        path: &Path,
-        with_ir: bool,
-    ) -> Result<CameraInfo, CameraError> {
+    /// `with_ir` says whether there are IR images: they are of no use without their scale, and those of a sensor that lights them
+    /// itself not without its light.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] naming file, key, value and bound.
+    pub fn camera_info(&self, path: &Path, with_ir: bool) -> Result<CameraInfo, CameraError> {
         self.check(with_ir).map_err(|what| invalid(path, what))?;
         let sensor = sensor_named(&self.sensor).map_err(|what| invalid(path, what))?;
         let light = self.light.as_ref().map(LightEntry::light).transpose();

@@ -5,11 +5,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use depth_camera::{CameraError, CameraInfo, Frame, Image};
+use depth_camera::{CameraInfo, Frame, Image};
 use png::EncodingError;
 
 use crate::{
+    depth_scale::DepthScale,
     files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file},
+    frame_check::check_frame,
     session::{self, SessionFile},
     sixteen_bit_png::{self, PngEffort},
 };
@@ -23,7 +25,7 @@ use crate::{
 pub struct SessionWriter {
     folder: PathBuf,
     info: CameraInfo,
-    depth_units_per_metre: f64,
+    depth_scale: DepthScale,
     depth_list: ListFile,
     /// There if the camera delivers IR.
     ir_list: Option<ListFile>,
@@ -50,9 +52,7 @@ impl SessionWriter {
         let session_path = folder.join(session::FILE_NAME);
         let with_ir = info.ir_full_scale.is_some() || info.light.is_some();
         session.camera_info(&session_path, with_ir)?;
-        let session = toml::to_string(&session).map_err(|error| {
-            CameraError::Invalid(format!("{}: {error}", session_path.display()))
-        })?;
+        let session = session.to_text(&session_path)?;
 
         create_empty_folder(folder)?;
         create_folder(&folder.join("depth"))?;
@@ -68,7 +68,9 @@ impl SessionWriter {
         Ok(SessionWriter {
             folder: folder.to_owned(),
             info: info.clone(),
-            depth_units_per_metre,
+            depth_scale: DepthScale {
+                units_per_metre: depth_units_per_metre,
+            },
             depth_list,
             ir_list,
             n_frames: 0,
@@ -99,7 +101,7 @@ impl SessionWriter {
         let depth_name = format!("depth/{:05}.png", self.n_frames);
         let ir_name = format!("ir/{:05}.png", self.n_frames);
         if let Some(depth) = &frame.depth {
-            let units = depth.map(|&metres| depth_units(metres, self.depth_units_per_metre));
+            let units = depth.map(|&metres| self.depth_scale.units(metres));
             write_png(&self.folder.join(&depth_name), &units, PngEffort::Archive)?;
         }
         if let Some(ir) = &frame.ir {
@@ -135,32 +137,8 @@ impl SessionWriter {
 
     /// Whether the frame fits the recording; its time in microseconds, the resolution of the lists.
     fn check(&self, frame: &Frame) -> Result<i64, String> {
-        let i = &self.info.intrinsics;
-        let sizes = [
-            ("depth", frame.depth.as_ref().map(size)),
-            ("IR", frame.ir.as_ref().map(size)),
-        ];
-        for (what, size) in sizes {
-            let Some((width, height)) = size else {
-                continue;
-            };
-            if (width, height) != (i.width, i.height) {
-                return Err(format!(
-                    "{what} is {width}×{height}, must be {}×{}",
-                    i.width, i.height
-                ));
-            }
-        }
-        if frame.depth.is_none() && frame.ir.is_none() {
-            return Err("it holds no image".to_owned());
-        }
-        if frame.ir.is_some() && self.ir_list.is_none() {
-            return Err("it holds IR, but the camera has neither scale nor light".to_owned());
-        }
+        check_frame(frame, &self.info.intrinsics, self.ir_list.is_some())?;
         let time_secs = frame.device_time_secs;
-        if !time_secs.is_finite() {
-            return Err(format!("its time is {time_secs} s, must be finite"));
-        }
         let time_micros = (time_secs * 1e6).round() as i64;
         match self.last_time_micros {
             Some(last) if time_micros <= last => Err(format!(
@@ -170,20 +148,6 @@ impl SessionWriter {
             _ => Ok(time_micros),
         }
     }
-}
-
-/// Depth in the units of the recording.
-fn depth_units(metres: f32, units_per_metre: f64) -> u16 {
-    let units = (f64::from(metres) * units_per_metre).round();
-    if (1.0..=f64::from(u16::MAX)).contains(&units) {
-        units as u16
-    } else {
-        0
-    }
-}
-
-fn size<T>(image: &Image<T>) -> (usize, usize) {
-    (image.width(), image.height())
 }
 
 /// Writes an image as a 16-bit greyscale PNG, there whole or not at all.

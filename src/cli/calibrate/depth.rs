@@ -3,7 +3,8 @@
 use super::{DepthArgs, next_frame};
 use crate::cli::run::{Verdict, all_processors, calibration_folder, session_name};
 use anyhow::{Context, ensure};
-use depth_camera::{DepthCamera, Sensor};
+use depth_camera::Sensor;
+use mcap_session::open_session;
 use relief::{
     config::{
         CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, MeasuredSession, Measurement,
@@ -14,7 +15,7 @@ use relief::{
     pipeline::{DepthCorrection, MeasuredWhite},
     shading::{Calibration, LightCalibration},
 };
-use replay::ReplayCamera;
+use replay::Pacing;
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
 /// Half the width of a 95 % interval in standard deviations.
@@ -22,7 +23,7 @@ const INTERVAL_SIGMAS: f64 = 1.96;
 
 /// `relief calibrate depth`.
 pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
-    let mut camera = ReplayCamera::open(&args.session)?;
+    let mut camera = open_session(&args.session, Pacing::AsFastAsPossible)?.camera;
     let info = camera.info().clone();
     ensure!(
         info.sensor == Sensor::Kinect2,
@@ -47,7 +48,7 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
         let camera_model = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
         let mut fusion = Fusion::new(camera_model, noise, config.fusion.clone());
-        while let Some(frame) = next_frame(&mut camera)? {
+        while let Some(frame) = next_frame(camera.as_mut())? {
             let corrected = correction.correct(&frame).unwrap_or(frame);
             if let Some(depth_m) = &corrected.depth {
                 fusion.fuse(depth_m, corrected.device_time_secs);
@@ -103,7 +104,7 @@ fn print(measured: &MeasuredWhite) {
 fn measurement(measured: &MeasuredWhite, session: &Path) -> anyhow::Result<Measurement> {
     let session = MeasuredSession {
         name: session_name(session),
-        content: replay::content_hash(session)?,
+        content: mcap_session::content_hash(session)?,
     };
     let half_interval = INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0;
     let figures = [

@@ -5,6 +5,7 @@ use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, ensure};
 use depth_camera::{DepthCamera, Frame, Sensor};
 use freenect1::NOMINAL_IR_OFFSET_PX;
+use mcap_session::open_session;
 use relief::{
     calibrate::{ImageOffset, OffsetEstimate, combine_offsets, image_offset},
     config::{
@@ -15,12 +16,12 @@ use relief::{
     geometry::Pose,
     snapshot::{SnapshotParams, SnapshotSelector, TrackedFrame},
 };
-use replay::ReplayCamera;
+use replay::Pacing;
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
 /// `relief calibrate offset`.
 pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
-    let mut camera = ReplayCamera::open(&args.session)?;
+    let mut camera = open_session(&args.session, Pacing::AsFastAsPossible)?.camera;
     let info = camera.info().clone();
     let serial = args.file.serial.clone().unwrap_or(info.serial);
     let path = calibration_path(
@@ -31,8 +32,8 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
         .ir_full_scale
         .context("the session has no infrared images")?;
     let offsets = match info.sensor {
-        Sensor::Kinect1 => of_shading_images(&mut camera, full_scale)?,
-        Sensor::Kinect2 => of_every_frame(&mut camera, full_scale)?,
+        Sensor::Kinect1 => of_shading_images(camera.as_mut(), full_scale)?,
+        Sensor::Kinect2 => of_every_frame(camera.as_mut(), full_scale)?,
     };
     let estimate = combine_offsets(&offsets)?;
     print(&estimate, info.sensor);
@@ -55,7 +56,7 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
 
 /// A Kinect I: the images under the lamp, each with the depth before the projector was covered.
 fn of_shading_images(
-    camera: &mut ReplayCamera,
+    camera: &mut dyn DepthCamera,
     full_scale: f64,
 ) -> anyhow::Result<Vec<ImageOffset>> {
     let params = SnapshotParams::default();
@@ -89,7 +90,10 @@ fn of_shading_images(
 }
 
 /// A Kinect II: depth and IR of every frame.
-fn of_every_frame(camera: &mut ReplayCamera, full_scale: f64) -> anyhow::Result<Vec<ImageOffset>> {
+fn of_every_frame(
+    camera: &mut dyn DepthCamera,
+    full_scale: f64,
+) -> anyhow::Result<Vec<ImageOffset>> {
     let mut offsets = Vec::new();
     while let Some(frame) = next_frame(camera)? {
         if let (Some(depth_m), Some(ir)) = (&frame.depth, &frame.ir) {
@@ -130,7 +134,7 @@ fn print(estimate: &OffsetEstimate, sensor: Sensor) {
 fn measurement(estimate: &OffsetEstimate, session: &Path) -> anyhow::Result<Measurement> {
     let session = MeasuredSession {
         name: session_name(session),
-        content: replay::content_hash(session)?,
+        content: mcap_session::content_hash(session)?,
     };
     let figures = [
         ("right_half_interval_px", estimate.half_interval_px[0]),

@@ -4,7 +4,8 @@
 use super::{TargetArgs, findings::Findings, next_frame, page::write_page, print::print};
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, bail, ensure};
-use depth_camera::{CameraInfo, DepthCamera};
+use depth_camera::CameraInfo;
+use mcap_session::open_session;
 use nalgebra::Point3;
 use relief::{
     calibrate::{
@@ -19,7 +20,7 @@ use relief::{
     geometry::{CameraModel, RayGrid},
     shading::FlatField,
 };
-use replay::ReplayCamera;
+use replay::Pacing;
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -119,14 +120,14 @@ fn gather(args: &TargetArgs) -> anyhow::Result<Sessions> {
     let mut infos: Vec<CameraInfo> = Vec::new();
     let mut scans = Vec::new();
     for session in &args.sessions {
-        let mut camera = ReplayCamera::open(session)?;
+        let mut camera = open_session(session, Pacing::AsFastAsPossible)?.camera;
         let info = camera.info().clone();
         if let Some(first) = infos.first() {
             check_same_device(first, &info, session, args.file.serial.is_some())?;
         }
         let mut gatherer = Gatherer::new(&info, FusionParams::default())
             .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
-        while let Some(frame) = next_frame(&mut camera)? {
+        while let Some(frame) = next_frame(camera.as_mut())? {
             gatherer.observe(&frame);
         }
         let scan = gatherer.finish(&session_name(session), radius)?;
@@ -301,7 +302,7 @@ fn write(
         .map(|session| {
             Ok(MeasuredSession {
                 name: session_name(session),
-                content: replay::content_hash(session)?,
+                content: mcap_session::content_hash(session)?,
             })
         })
         .collect::<anyhow::Result<Vec<_>>>()?;

@@ -1,0 +1,303 @@
+//! A recording, or somebody else's bag, as a camera.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image};
+use replay::{DepthScale, Pacer, Pacing, SAME_MOMENT_SECS, WriteError};
+
+use crate::{
+    error::RecordingError,
+    folder,
+    messages::{Encoding, ImageMessage, Stamp, stamp_of},
+    open_lock::OpenLock,
+    plan::{self, Kind, Plan},
+    reader::{MessageReader, Step},
+    repair,
+    session::{self, SessionRecord},
+};
+
+/// An image may come so much later than newer ones: IR that is recorded once it turns out to be wanted.
+const MAX_LATENESS_NS: i64 = 1_500_000_000;
+/// Images at most this far apart belong together, nanoseconds.
+const SAME_MOMENT_NS: i64 = (SAME_MOMENT_SECS * 1e9) as i64;
+/// Images that wait for their place, at most; more are of a file whose times make no sense.
+const MAX_PENDING: usize = 512;
+const MAX_PENDING_BYTES: usize = 256 << 20;
+
+/// An image message that waits for its place.
+struct PendingImage {
+    sequence: u32,
+    message: Vec<u8>,
+}
+
+/// One moment of the recording; at least one image is there.
+struct Moment {
+    stamp: Stamp,
+    depth: Option<PendingImage>,
+    infrared: Option<PendingImage>,
+}
+
+/// A recording played from its start to its end: one of Relief exactly as it was recorded, another bag as far as its topics tell.
+///
+/// `frame_id` is that of the recording; in other bags it counts the moments from 0. What is damaged costs its own frames.
+pub struct McapCamera {
+    path: PathBuf,
+    plan: Plan,
+    reader: MessageReader,
+    has_ended: bool,
+    pending: BTreeMap<(Stamp, Kind), PendingImage>,
+    n_pending_bytes: usize,
+    newest: Option<Stamp>,
+    damages: VecDeque<String>,
+    due: Option<Moment>,
+    last: Option<Stamp>,
+    next_frame_id: u64,
+    pacer: Pacer,
+}
+
+impl McapCamera {
+    /// Opens a recording's folder, a single file of it, or a bag. A recording that was left open is mended first, where it may be
+    /// written to.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] naming file, topic, value and bound; [`CameraError::Busy`] for a recording that is being written.
+    pub fn open(path: &Path) -> Result<Self, CameraError> {
+        let mut n_frames = None;
+        if path.join(session::FILE_NAME).is_file() {
+            make_whole(path)?;
+            let counters = SessionRecord::read(path)?.counters;
+            n_frames = usize::try_from(counters.frames).ok().filter(|&n| n > 0);
+        }
+        let files = folder::files(path)?;
+        let mut plan = plan::find(path, &files)?;
+        plan.info.n_frames = n_frames;
+        Ok(McapCamera {
+            path: path.to_owned(),
+            plan,
+            reader: MessageReader::new(&files),
+            has_ended: false,
+            pending: BTreeMap::new(),
+            n_pending_bytes: 0,
+            newest: None,
+            damages: VecDeque::new(),
+            due: None,
+            last: None,
+            next_frame_id: 0,
+            pacer: Pacer::default(),
+        })
+    }
+
+    /// The same recording at another pace.
+    pub fn with_pacing(self, pacing: Pacing) -> Self {
+        McapCamera {
+            pacer: Pacer::new(pacing),
+            ..self
+        }
+    }
+
+    /// How depth is stored, for another recording of the same.
+    pub fn depth_scale(&self) -> DepthScale {
+        self.plan.depth_scale
+    }
+
+    /// Reads one more chunk.
+    fn read_on(&mut self) -> Result<(), RecordingError> {
+        let (plan, pending) = (&self.plan, &mut self.pending);
+        let (bytes, newest) = (&mut self.n_pending_bytes, &mut self.newest);
+        let damages = &mut self.damages;
+        let step = self.reader.step(|channel, message| {
+            let Some(kind) = plan.kind_of(&channel.topic) else {
+                return;
+            };
+            let stamp = match stamp_of(message.data) {
+                Ok(stamp) => stamp,
+                Err(error) => return damages.push_back(format!("{}: {error}", channel.topic)),
+            };
+            let image = PendingImage {
+                sequence: message.header.sequence,
+                message: message.data.to_vec(),
+            };
+            *bytes += image.message.len();
+            *newest = (*newest).max(Some(stamp));
+            if let Some(twin) = pending.insert((stamp, kind), image) {
+                *bytes -= twin.message.len();
+            }
+        })?;
+        match step {
+            Step::Read => {}
+            Step::Damaged(what) => self.damages.push_back(what),
+            Step::End => self.has_ended = true,
+        }
+        Ok(())
+    }
+
+    /// The oldest moment, once nothing that belongs before or into it can come any more.
+    fn next_moment(&mut self) -> Option<Moment> {
+        let (&(oldest, kind), _) = self.pending.first_key_value()?;
+        let lateness = self.newest.map_or(0, |newest| newest.0 - oldest.0);
+        let is_settled = self.has_ended
+            || lateness > MAX_LATENESS_NS
+            || self.pending.len() >= MAX_PENDING
+            || self.n_pending_bytes >= MAX_PENDING_BYTES;
+        if !is_settled {
+            return None;
+        }
+        let other = match kind {
+            Kind::Depth => Kind::Infrared,
+            Kind::Infrared => Kind::Depth,
+        };
+        let reach = Stamp(oldest.0.saturating_add(SAME_MOMENT_NS));
+        let mut near = self.pending.range((oldest, kind)..=(reach, Kind::Infrared));
+        let partner = near.find(|((_, kind), _)| *kind == other);
+        let partner = partner.map(|(&key, _)| key);
+
+        let first = self.take((oldest, kind));
+        let second = partner.and_then(|key| self.take(key));
+        let (depth, infrared) = match kind {
+            Kind::Depth => (first, second),
+            Kind::Infrared => (second, first),
+        };
+        let stamp = match (kind, partner) {
+            (Kind::Infrared, Some((stamp, _))) => stamp,
+            _ => oldest,
+        };
+        Some(Moment {
+            stamp,
+            depth,
+            infrared,
+        })
+    }
+
+    fn take(&mut self, key: (Stamp, Kind)) -> Option<PendingImage> {
+        let image = self.pending.remove(&key)?;
+        self.n_pending_bytes -= image.message.len();
+        Some(image)
+    }
+
+    /// Decodes the images of a moment, depth into metres.
+    fn decode(&self, frame_id: u64, moment: &Moment) -> Result<Frame, String> {
+        if self.last.is_some_and(|last| moment.stamp <= last) {
+            return Err(format!(
+                "its time {:.9} s does not follow that of the frame before",
+                moment.stamp.secs()
+            ));
+        }
+        let depth = moment.depth.as_ref().map(|image| self.depth(image));
+        let ir = moment.infrared.as_ref().map(|image| self.infrared(image));
+        Ok(Frame {
+            frame_id,
+            device_time_secs: moment.stamp.secs(),
+            host_time: Instant::now(),
+            depth: depth.transpose()?,
+            ir: ir.transpose()?,
+        })
+    }
+
+    fn depth(&self, pending: &PendingImage) -> Result<Image<f32>, String> {
+        let image = self.image(&pending.message)?;
+        let scale = self.plan.depth_scale;
+        let metres = match image.encoding {
+            Encoding::F32 => image.f32_pixels().into_iter().map(measured).collect(),
+            Encoding::U16 | Encoding::Mono16 => image
+                .u16_pixels()
+                .into_iter()
+                .map(|units| scale.metres(units))
+                .collect(),
+        };
+        Ok(Image::from_vec(image.width, image.height, metres))
+    }
+
+    fn infrared(&self, pending: &PendingImage) -> Result<Image<u16>, String> {
+        let image = self.image(&pending.message)?;
+        if image.encoding == Encoding::F32 {
+            return Err("IR in 32FC1, must be mono16 or 16UC1".to_owned());
+        }
+        Ok(Image::from_vec(
+            image.width,
+            image.height,
+            image.u16_pixels(),
+        ))
+    }
+
+    /// An image of the size that the camera promises.
+    fn image<'a>(&self, message: &'a [u8]) -> Result<ImageMessage<'a>, String> {
+        let image = ImageMessage::decode(message).map_err(|error| error.to_string())?;
+        let i = &self.plan.info.intrinsics;
+        if (image.width, image.height) != (i.width, i.height) {
+            return Err(format!(
+                "{}×{} pixels, expected {}×{}",
+                image.width, image.height, i.width, i.height
+            ));
+        }
+        Ok(image)
+    }
+
+    fn damaged(&self, frame_id: u64, reason: String) -> CameraError {
+        let reason = format!("{}: {reason}", self.path.display());
+        CameraError::DamagedFrame { frame_id, reason }
+    }
+}
+
+impl DepthCamera for McapCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.plan.info
+    }
+
+    fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        while self.due.is_none() {
+            if let Some(reason) = self.damages.pop_front() {
+                return Err(self.damaged(self.next_frame_id, reason));
+            }
+            self.due = self.next_moment();
+            match (&self.due, self.has_ended) {
+                (Some(_), _) => {}
+                (None, true) => return Ok(None),
+                (None, false) => self.read_on()?,
+            }
+        }
+        let Some(due) = &self.due else {
+            return Ok(None);
+        };
+        self.pacer.wait_until_due(due.stamp.secs(), timeout)?;
+        let Some(moment) = self.due.take() else {
+            return Ok(None);
+        };
+        let image = moment.depth.as_ref().or(moment.infrared.as_ref());
+        let frame_id = match (self.plan.is_numbered, image) {
+            (true, Some(image)) => u64::from(image.sequence),
+            _ => self.next_frame_id,
+        };
+        self.next_frame_id = frame_id + 1;
+        let decoded = self.decode(frame_id, &moment);
+        self.last = self.last.max(Some(moment.stamp));
+        decoded
+            .map(Some)
+            .map_err(|reason| self.damaged(frame_id, reason))
+    }
+}
+
+/// Depth that was measured, metres; 0 otherwise.
+fn measured(metres: f32) -> f32 {
+    match metres.is_finite() && metres > 0.0 {
+        true => metres,
+        false => 0.0,
+    }
+}
+
+/// Mends a recording that was left open; one on a disk that cannot be written to is read as it is.
+fn make_whole(folder: &Path) -> Result<(), RecordingError> {
+    if OpenLock::is_held(folder) {
+        return Err(RecordingError::InUse(folder.to_owned()));
+    }
+    if !repair::is_abandoned(folder)? {
+        return Ok(());
+    }
+    match repair::repair(folder) {
+        Ok(_) | Err(RecordingError::Write(WriteError::Io { .. })) => Ok(()),
+        Err(error) => Err(error),
+    }
+}

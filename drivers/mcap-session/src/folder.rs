@@ -1,0 +1,111 @@
+//! Which files of a folder belong to its recording.
+
+use std::{
+    fs::{self, File},
+    path::{Path, PathBuf},
+};
+
+use crate::{
+    error::{RecordingError, io_error},
+    session,
+};
+
+/// More segments than a recording of weeks has.
+const MAX_SEGMENTS: usize = 100_000;
+
+/// The name of a segment by its number.
+pub fn segment_name(number: usize) -> String {
+    format!("segment-{number:04}.mcap")
+}
+
+/// Whether a path is a recording of this kind: its folder, or a file that ends in `.mcap`.
+pub fn is_recording(path: &Path) -> bool {
+    match path.is_dir() {
+        true => path.join(session::FILE_NAME).is_file() || !mcap_files(path).is_empty(),
+        false => is_mcap(path),
+    }
+}
+
+/// The files of a recording in the order in which they were written, or of somebody else's bag in the order of their names.
+///
+/// # Errors
+/// If there is none, or the system refuses.
+pub fn files(path: &Path) -> Result<Vec<PathBuf>, RecordingError> {
+    fs::metadata(path).map_err(io_error(path))?;
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let files = match path.join(session::FILE_NAME).is_file() {
+        true => segments(path),
+        false => mcap_files(path),
+    };
+    match files.is_empty() {
+        true => Err(RecordingError::invalid(path, "holds no .mcap file")),
+        false => Ok(files),
+    }
+}
+
+/// How deep recordings are looked for: `sessions/<id>/recording` of a data directory.
+const DEPTH: usize = 3;
+
+/// The folders of all recordings of Relief in a folder and a few levels beneath it, by path; links are not followed.
+///
+/// # Errors
+/// If a folder cannot be read, naming it.
+pub fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
+    let mut found = Vec::new();
+    look_in(folder, DEPTH, &mut found)?;
+    found.sort();
+    Ok(found)
+}
+
+fn look_in(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), RecordingError> {
+    if folder.join(session::FILE_NAME).is_file() {
+        found.push(folder.to_owned());
+        return Ok(());
+    }
+    if depth == 0 {
+        return Ok(());
+    }
+    for entry in fs::read_dir(folder).map_err(io_error(folder))? {
+        let entry = entry.map_err(io_error(folder))?;
+        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            look_in(&entry.path(), depth - 1, found)?;
+        }
+    }
+    Ok(())
+}
+
+/// The segments of a recording of our own.
+pub fn segments(folder: &Path) -> Vec<PathBuf> {
+    let numbered = (0..MAX_SEGMENTS).map(|number| folder.join(segment_name(number)));
+    numbered.take_while(|path| path.is_file()).collect()
+}
+
+/// Hands the names in a folder to the disk.
+///
+/// # Errors
+/// What the system says.
+pub fn sync_folder(folder: &Path) -> Result<(), RecordingError> {
+    File::open(folder)
+        .and_then(|folder| folder.sync_all())
+        .map_err(io_error(folder))
+}
+
+/// The folder's `.mcap` files by name.
+fn mcap_files(folder: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(folder) else {
+        return Vec::new();
+    };
+    let paths = entries.filter_map(|entry| entry.ok().map(|entry| entry.path()));
+    let mut files: Vec<PathBuf> = paths
+        .filter(|path| is_mcap(path) && path.is_file())
+        .collect();
+    files.sort();
+    files
+}
+
+fn is_mcap(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension == "mcap")
+}

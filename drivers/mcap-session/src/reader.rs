@@ -1,0 +1,131 @@
+//! Reads the messages of a recording or of somebody else's bag, in the order in which they were written, past what is damaged.
+
+use std::{collections::VecDeque, path::PathBuf};
+
+use mcap::records::op;
+
+use crate::{
+    contents::{Channel, Definitions, Message, message, read_records},
+    error::{RecordingError, io_error},
+    walk::{Piece, Walk},
+};
+
+/// What one step of reading came to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Some messages were read, or none.
+    Read,
+    /// Bytes were passed over: file, place and what was found there.
+    Damaged(String),
+    /// There are no more.
+    End,
+}
+
+/// Reads one file after the other. A file that ends in the middle of a record is read up to there, without a word: so a recording
+/// ends that was not closed.
+pub struct MessageReader {
+    files: VecDeque<PathBuf>,
+    open: Option<OpenFile>,
+}
+
+struct OpenFile {
+    path: PathBuf,
+    walk: Walk,
+    definitions: Definitions,
+}
+
+impl MessageReader {
+    /// A reader of files.
+    pub fn new(files: &[PathBuf]) -> Self {
+        MessageReader {
+            files: files.iter().cloned().collect(),
+            open: None,
+        }
+    }
+
+    /// Reads the next chunk or record.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    pub fn step(
+        &mut self,
+        mut on_message: impl FnMut(&Channel, &Message),
+    ) -> Result<Step, RecordingError> {
+        let Some(open) = &mut self.open else {
+            return self.open_next();
+        };
+        let Some(piece) = open.walk.next().map_err(io_error(&open.path))? else {
+            self.open = None;
+            return Ok(Step::Read);
+        };
+        let mut hand_on = |definitions: &Definitions, message: Message| {
+            if let Some(channel) = definitions.channels.get(&message.header.channel_id) {
+                on_message(channel, &message);
+            }
+        };
+        let damage = match piece {
+            Piece::Chunk(chunk) => chunk
+                .records()
+                .and_then(|records| read_records(&records, &mut open.definitions, hand_on))
+                .err()
+                .map(|what| (chunk.offset, format!("a chunk is lost: {what}"))),
+            Piece::Record {
+                opcode: op::MESSAGE,
+                body,
+                ..
+            } => {
+                if let Some((header, data)) = message(&body) {
+                    let message = Message {
+                        header,
+                        offset_in_chunk: 0,
+                        data,
+                    };
+                    hand_on(&open.definitions, message);
+                }
+                None
+            }
+            Piece::Record {
+                opcode,
+                offset,
+                body,
+            } => define(&mut open.definitions, opcode, &body).map(|what| (offset, what)),
+            Piece::Gap {
+                offset,
+                length,
+                what,
+            } => Some((offset, format!("{length} bytes are lost: {what}"))),
+            Piece::PassedOver | Piece::DataEnd { .. } | Piece::Torn { .. } => None,
+        };
+        Ok(damage.map_or(Step::Read, |(offset, what)| {
+            Step::Damaged(format!(
+                "{}: {offset} bytes into it {what}",
+                open.path.display()
+            ))
+        }))
+    }
+
+    fn open_next(&mut self) -> Result<Step, RecordingError> {
+        let Some(path) = self.files.pop_front() else {
+            return Ok(Step::End);
+        };
+        let walk = Walk::open(&path)?;
+        self.open = Some(OpenFile {
+            path,
+            walk,
+            definitions: Definitions::default(),
+        });
+        Ok(Step::Read)
+    }
+}
+
+/// Takes up a record that defines something; what is wrong with it, if anything is.
+fn define(definitions: &mut Definitions, opcode: u8, body: &[u8]) -> Option<String> {
+    match opcode {
+        op::SCHEMA | op::CHANNEL => definitions.add(opcode, body).err(),
+        op::HEADER => {
+            definitions.begin(body);
+            None
+        }
+        _ => None,
+    }
+}

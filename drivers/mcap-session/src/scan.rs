@@ -1,0 +1,363 @@
+//! Looks through a whole segment: what it holds, what is damaged, and what would mend it.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs::File,
+    io::{self, Read, Seek, SeekFrom},
+    path::Path,
+};
+
+use mcap::{
+    MAGIC,
+    records::{MessageHeader, Record, op},
+};
+
+use crate::{
+    contents::{Definitions, message, read_records},
+    error::{RecordingError, io_error},
+    segment::SegmentSummary,
+    streams::Stream,
+    walk::{Chunk, HEAD, Piece, Walk},
+};
+
+/// An image of the same frame comes at most so many frames later.
+const FRAMES_REMEMBERED: usize = 256;
+/// `DataEnd` with its checksum, and the footer with its two offsets and checksum.
+const DATA_END: u64 = HEAD + 4;
+const FOOTER: u64 = HEAD + 20;
+/// A summary of more is none of ours.
+const MAX_SUMMARY_BYTES: u64 = 256 << 20;
+
+/// What a segment holds.
+#[derive(Debug, Default)]
+pub struct Scan {
+    /// Schemas and channels.
+    pub definitions: Definitions,
+    /// The chunks that are whole.
+    pub chunks: Vec<ChunkEntry>,
+    /// Messages by channel.
+    pub n_messages: BTreeMap<u16, u64>,
+    /// Types, numbers and times of the messages.
+    pub summary: SegmentSummary,
+    /// Frames of which an image is whole.
+    pub n_frames: u64,
+    /// What is wrong, in order.
+    pub damages: Vec<Damage>,
+    /// Where the last whole record of the data ends.
+    pub end_of_data: u64,
+    /// What is wrong with the end of the file: with a torn record, summary, or checksums.
+    pub bad_ending: Option<String>,
+    /// Bytes of the file.
+    pub file_length: u64,
+    has_header: bool,
+    recent_frames: BTreeSet<u32>,
+}
+
+/// A chunk as the summary tells of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ChunkEntry {
+    /// Where its record begins.
+    pub offset: u64,
+    /// Bytes of its record.
+    pub length: u64,
+    /// Name of the compression.
+    pub compression: String,
+    /// Bytes of its contents as they lie in the file.
+    pub compressed_size: u64,
+    /// Bytes of its contents.
+    pub uncompressed_size: u64,
+    /// Log times of its first and last message, nanoseconds.
+    pub time_ns: (u64, u64),
+    /// Where the message indexes lie that agree with its messages, by channel.
+    pub index_offsets: BTreeMap<u16, u64>,
+    /// Bytes of all its message indexes.
+    pub index_length: u64,
+    /// Log time and place of its messages by channel, as an index would have them.
+    messages: BTreeMap<u16, Vec<(u64, u64)>>,
+}
+
+impl ChunkEntry {
+    /// Whether every message is in an index.
+    pub fn is_indexed(&self) -> bool {
+        self.index_offsets.keys().eq(self.messages.keys())
+    }
+}
+
+/// Bytes that are not what they should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damage {
+    /// Where they begin.
+    pub offset: u64,
+    /// What was found there.
+    pub what: String,
+    /// What mends the file, as far as it can be mended.
+    pub mend: Mend,
+}
+
+/// What is done about damaged bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mend {
+    /// They become one record of a private kind, so that readers pass over them.
+    PassOver {
+        /// How many there are.
+        length: u64,
+    },
+    /// The times in a chunk's header become those of its messages, nanoseconds.
+    Times(u64, u64),
+}
+
+/// Looks through a segment.
+///
+/// # Errors
+/// If the file cannot be read or does not begin as an MCAP file does.
+pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
+    let mut walk = Walk::open(path)?;
+    let mut scan = Scan {
+        end_of_data: MAGIC.len() as u64,
+        file_length: walk.file_length(),
+        ..Scan::default()
+    };
+    // The chunk that message indexes belong to; none behind a damaged one.
+    let mut indexed = false;
+    while let Some(piece) = walk.next().map_err(io_error(path))? {
+        match piece {
+            Piece::Chunk(chunk) => indexed = scan.chunk(&chunk),
+            Piece::Record {
+                opcode,
+                offset,
+                body,
+            } => scan.record(opcode, offset, &body, indexed),
+            Piece::PassedOver => {}
+            Piece::Gap {
+                offset,
+                length,
+                what,
+            } => {
+                indexed = false;
+                scan.pass_over(offset, length, what);
+            }
+            Piece::DataEnd { offset, saved_crc } => {
+                scan.end_of_data = offset;
+                scan.bad_ending = check_ending(path, offset, saved_crc).map_err(io_error(path))?;
+                return Ok(scan);
+            }
+            Piece::Torn { offset, what } => {
+                scan.end_of_data = offset;
+                scan.bad_ending = Some(what);
+                return Ok(scan);
+            }
+        }
+    }
+    Ok(scan)
+}
+
+impl Scan {
+    /// Whether the file begins with a header of its own.
+    pub fn has_header(&self) -> bool {
+        self.has_header
+    }
+
+    /// Whether nothing is wrong.
+    pub fn is_whole(&self) -> bool {
+        self.damages.is_empty() && self.bad_ending.is_none()
+    }
+
+    /// Takes up a chunk; false if its contents are damaged.
+    fn chunk(&mut self, chunk: &Chunk) -> bool {
+        let mut entry = ChunkEntry {
+            offset: chunk.offset,
+            length: chunk.length,
+            compression: chunk.header.compression.clone(),
+            compressed_size: chunk.header.compressed_size,
+            uncompressed_size: chunk.header.uncompressed_size,
+            time_ns: (0, 0),
+            index_offsets: BTreeMap::new(),
+            index_length: 0,
+            messages: BTreeMap::new(),
+        };
+        // Counted only if the whole chunk is good.
+        let mut definitions = self.definitions.clone();
+        let read = chunk.records().and_then(|records| {
+            read_records(&records, &mut definitions, |_, message| {
+                let places = entry.messages.entry(message.header.channel_id);
+                let place = (message.header.log_time, message.offset_in_chunk);
+                places.or_default().push(place);
+            })?;
+            Ok(records)
+        });
+        let records = match read {
+            Ok(records) => records,
+            Err(what) => {
+                self.pass_over(chunk.offset, chunk.length, format!("a chunk: {what}"));
+                return false;
+            }
+        };
+        let counted = read_records(&records, &mut definitions, |definitions, message| {
+            self.count(definitions, &message.header);
+        });
+        debug_assert!(counted.is_ok(), "the records were read before");
+        self.definitions = definitions;
+
+        let times = entry.messages.values().flatten().map(|(time, _)| *time);
+        let times = times.map(|time| (time, time));
+        entry.time_ns = times
+            .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+            .unwrap_or_default();
+        let told = (
+            chunk.header.message_start_time,
+            chunk.header.message_end_time,
+        );
+        if told != entry.time_ns {
+            self.damages.push(Damage {
+                offset: chunk.offset,
+                what: format!("a chunk of other times than its messages: {told:?}"),
+                mend: Mend::Times(entry.time_ns.0, entry.time_ns.1),
+            });
+        }
+        self.chunks.push(entry);
+        true
+    }
+
+    fn record(&mut self, opcode: u8, offset: u64, body: &[u8], indexed: bool) {
+        let length = HEAD + body.len() as u64;
+        match opcode {
+            op::HEADER => {
+                self.has_header = true;
+                self.definitions.begin(body);
+            }
+            op::SCHEMA | op::CHANNEL => {
+                if let Err(what) = self.definitions.add(opcode, body) {
+                    self.pass_over(offset, length, what);
+                }
+            }
+            op::MESSAGE => match message(body) {
+                Some((header, _)) => {
+                    let definitions = std::mem::take(&mut self.definitions);
+                    self.count(&definitions, &header);
+                    self.definitions = definitions;
+                }
+                None => self.pass_over(offset, length, "a message without its header".to_owned()),
+            },
+            op::MESSAGE_INDEX => self.message_index(offset, body, indexed),
+            _ => {}
+        }
+    }
+
+    /// Takes up an index if it belongs to a good chunk and agrees with it.
+    fn message_index(&mut self, offset: u64, body: &[u8], indexed: bool) {
+        let length = HEAD + body.len() as u64;
+        let chunk = self.chunks.last_mut().filter(|_| indexed);
+        let index = match mcap::parse_record(op::MESSAGE_INDEX, body) {
+            Ok(Record::MessageIndex(index)) => Some(index),
+            _ => None,
+        };
+        if let (Some(chunk), Some(index)) = (chunk, index) {
+            let told = index
+                .records
+                .iter()
+                .map(|entry| (entry.log_time, entry.offset));
+            let messages = chunk.messages.get(&index.channel_id);
+            if messages.is_some_and(|messages| messages.iter().copied().eq(told)) {
+                chunk.index_offsets.insert(index.channel_id, offset);
+                chunk.index_length += length;
+                return;
+            }
+        }
+        let what = "an index that agrees with no chunk before it".to_owned();
+        self.pass_over(offset, length, what);
+    }
+
+    fn count(&mut self, definitions: &Definitions, header: &MessageHeader) {
+        let Some(channel) = definitions.channels.get(&header.channel_id) else {
+            return;
+        };
+        *self.n_messages.entry(header.channel_id).or_default() += 1;
+        self.summary
+            .add(&channel.topic, &channel.message_type, header.log_time);
+        let is_image = matches!(
+            Stream::of_topic(&channel.topic),
+            Some(Stream::Depth | Stream::Infrared)
+        );
+        if is_image && self.recent_frames.insert(header.sequence) {
+            self.n_frames += 1;
+            if self.recent_frames.len() > FRAMES_REMEMBERED {
+                self.recent_frames.pop_first();
+            }
+        }
+    }
+
+    fn pass_over(&mut self, offset: u64, length: u64, what: String) {
+        self.damages.push(Damage {
+            offset,
+            what,
+            mend: Mend::PassOver { length },
+        });
+    }
+}
+
+/// What is wrong with a file behind its data, if anything is: checksums, summary, footer.
+fn check_ending(path: &Path, data_end: u64, saved_crc: u32) -> io::Result<Option<String>> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    let summary_start = data_end + DATA_END;
+    let tail = length.saturating_sub(summary_start);
+    if tail < FOOTER + MAGIC.len() as u64 {
+        return Ok(Some("the file ends before its footer".to_owned()));
+    }
+    if tail > MAX_SUMMARY_BYTES {
+        return Ok(Some(format!(
+            "{tail} bytes follow the data, must be at most {MAX_SUMMARY_BYTES}"
+        )));
+    }
+    file.seek(SeekFrom::Start(summary_start))?;
+    let mut bytes = Vec::with_capacity(tail as usize);
+    file.read_to_end(&mut bytes)?;
+    let Some((records, magic)) = bytes.split_last_chunk::<{ MAGIC.len() }>() else {
+        return Ok(Some("the file ends before its footer".to_owned()));
+    };
+    if magic != MAGIC {
+        return Ok(Some(
+            "the file ends in other bytes than it should".to_owned(),
+        ));
+    }
+    let (summary, footer) = records.split_at(records.len() - FOOTER as usize);
+    let (head, body) = footer.split_at(HEAD as usize);
+    let footer = match mcap::parse_record(op::FOOTER, body) {
+        Ok(Record::Footer(footer)) if head == [op::FOOTER, 20, 0, 0, 0, 0, 0, 0, 0] => footer,
+        _ => return Ok(Some("there is no footer where it should be".to_owned())),
+    };
+    let expected_start = if summary.is_empty() { 0 } else { summary_start };
+    if footer.summary_start != expected_start {
+        return Ok(Some(format!(
+            "the footer looks for a summary at {}, must be {expected_start}",
+            footer.summary_start
+        )));
+    }
+    let found = crc32fast::hash(&records[..records.len() - 4]);
+    if footer.summary_crc != 0 && footer.summary_crc != found {
+        return Ok(Some(format!(
+            "checksum {found:08x} of the summary, must be {:08x}",
+            footer.summary_crc
+        )));
+    }
+    let found = data_checksum(&mut file, data_end)?;
+    Ok((saved_crc != 0 && found != saved_crc)
+        .then(|| format!("checksum {found:08x} of the data, must be {saved_crc:08x}")))
+}
+
+/// The checksum of a file's first bytes.
+///
+/// # Errors
+/// What the system says.
+pub fn data_checksum(file: &mut File, end: u64) -> io::Result<u32> {
+    file.seek(SeekFrom::Start(0))?;
+    let mut data = file.take(end);
+    let mut buffer = vec![0; 1 << 18];
+    let mut hasher = crc32fast::Hasher::new();
+    loop {
+        match data.read(&mut buffer)? {
+            0 => return Ok(hasher.finalize()),
+            n => hasher.update(&buffer[..n]),
+        }
+    }
+}

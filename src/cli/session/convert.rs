@@ -1,0 +1,90 @@
+//! `relief session export` and `import`: recordings as folders of images, and back.
+
+use super::ConvertArgs;
+use crate::cli::run::{Verdict, session_folder};
+use anyhow::Context;
+use depth_camera::{CameraError, DepthCamera, Frame};
+use mcap_session::{RecordingParams, SegmentWriter, open_session};
+use relief::shading::Calibration;
+use replay::{Pacing, SessionWriter};
+use serde_json::json;
+use std::{fs, path::Path, time::Duration};
+
+/// What became of the frames.
+#[derive(Default)]
+struct Converted {
+    n_frames: usize,
+    n_damaged: usize,
+}
+
+/// `relief session export`.
+pub fn export(args: &ConvertArgs) -> anyhow::Result<Verdict> {
+    let mut session = open_session(&args.session, Pacing::AsFastAsPossible)?;
+    let units = session.depth_scale.units_per_metre;
+    let mut writer = SessionWriter::create(&args.out, session.camera.info(), units)?;
+    let converted = convert(session.camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
+    writer.finish()?;
+    conclude(args, &converted)
+}
+
+/// `relief session import`.
+pub fn import(args: &ConvertArgs) -> anyhow::Result<Verdict> {
+    let mut session = open_session(&args.session, Pacing::AsFastAsPossible)?;
+    let params = RecordingParams {
+        depth_units_per_metre: session.depth_scale.units_per_metre,
+        // Whoever asks for a file gets it, or hears that there is no room.
+        min_free_bytes: 0,
+        ..RecordingParams::default()
+    };
+    let mut writer = SegmentWriter::create(&args.out, session.camera.info(), params)?;
+    let converted = convert(session.camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
+    writer.finish()?;
+    conclude(args, &converted)
+}
+
+/// Hands all frames on; damaged ones are told of and counted.
+fn convert(
+    camera: &mut dyn DepthCamera,
+    mut write: impl FnMut(&Frame) -> anyhow::Result<()>,
+) -> anyhow::Result<Converted> {
+    let mut converted = Converted::default();
+    loop {
+        match camera.grab(Duration::ZERO) {
+            Ok(Some(frame)) => {
+                write(&frame)?;
+                converted.n_frames += 1;
+            }
+            Ok(None) => return Ok(converted),
+            Err(error @ CameraError::DamagedFrame { .. }) => {
+                tracing::warn!(%error, "frame skipped");
+                converted.n_damaged += 1;
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+/// Takes the calibration along, and says what became of the frames.
+fn conclude(args: &ConvertArgs, converted: &Converted) -> anyhow::Result<Verdict> {
+    let calibration = session_folder(&args.session).join(Calibration::FILE_NAME);
+    if calibration.is_file() {
+        copy(&calibration, &args.out.join(Calibration::FILE_NAME))?;
+    }
+    let Converted {
+        n_frames,
+        n_damaged,
+    } = converted;
+    match args.json {
+        true => println!("{}", json!({ "frames": n_frames, "damaged": n_damaged })),
+        false => println!(
+            "{n_frames} frames written to {}, {n_damaged} were damaged",
+            args.out.display()
+        ),
+    }
+    Ok(Verdict::Done)
+}
+
+fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
+    fs::copy(from, to).with_context(|| format!("cannot copy {}", from.display()))?;
+    Ok(())
+}

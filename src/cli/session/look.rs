@@ -1,0 +1,140 @@
+//! `relief session info` and `verify`: looking at a recording without changing it.
+
+use super::{SessionArgs, list::state_name, megabytes};
+use crate::cli::run::Verdict;
+use depth_camera::CameraInfo;
+use mcap_session::{FileReport, SessionRecord, describe, files};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// `relief session info`.
+pub fn info(args: &SessionArgs) -> anyhow::Result<Verdict> {
+    let described = describe(&args.session)?;
+    let record = SessionRecord::read(&args.session).ok();
+    let files = files(&args.session)?;
+    let n_bytes: u64 = files
+        .iter()
+        .filter_map(|path| path.metadata().ok())
+        .map(|metadata| metadata.len())
+        .sum();
+    let units_per_metre = described.depth_scale.units_per_metre;
+    let (info, topics) = (&described.info, described.topics);
+    if args.json {
+        let object = json!({
+            "path": args.session.display().to_string(),
+            "session": record,
+            "camera": camera(info),
+            "depth_units_per_metre": units_per_metre,
+            "topics": topics,
+            "files": files.len(),
+            "bytes": n_bytes,
+        });
+        println!("{object}");
+        return Ok(Verdict::Done);
+    }
+    let i = &info.intrinsics;
+    println!("{}", args.session.display());
+    println!("  {} {}", info.sensor.name(), info.serial);
+    println!(
+        "  {}×{} pixels, fx {:.2} fy {:.2} cx {:.2} cy {:.2}",
+        i.width, i.height, i.fx, i.fy, i.cx, i.cy
+    );
+    println!("  depth in 1/{units_per_metre} m");
+    match info.light {
+        Some(light) => println!(
+            "  infrared lit by the {} at {:?} m",
+            light.kind.name(),
+            light.position_m
+        ),
+        None => println!("  no infrared"),
+    }
+    println!("  {} files, {}", files.len(), megabytes(n_bytes));
+    for topic in topics {
+        println!("  {topic}");
+    }
+    if let Some(record) = record {
+        let c = &record.counters;
+        println!(
+            "  {}: {} frames, {} depth, {} infrared, {} poses, {} events",
+            state_name(record.state),
+            c.frames,
+            c.depth,
+            c.infrared,
+            c.poses,
+            c.events
+        );
+        if let Some(why) = record.stopped_because {
+            println!("  stopped before the scan did: {why}");
+        }
+    }
+    Ok(Verdict::Done)
+}
+
+fn camera(info: &CameraInfo) -> Value {
+    let i = &info.intrinsics;
+    json!({
+        "sensor": info.sensor.name(),
+        "serial": info.serial,
+        "driver": info.driver,
+        "width": i.width, "height": i.height,
+        "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
+        "k1": i.k1, "k2": i.k2, "p1": i.p1, "p2": i.p2, "k3": i.k3,
+        "ir_full_scale": info.ir_full_scale,
+        "light": info.light.map(|light| json!({
+            "kind": light.kind.name(),
+            "position_m": light.position_m,
+        })),
+    })
+}
+
+/// `relief session verify`.
+pub fn verify(args: &SessionArgs) -> anyhow::Result<Verdict> {
+    let reports = mcap_session::verify(&args.session)?;
+    let is_whole = reports.iter().all(|report| report.problems.is_empty());
+    if args.json {
+        let files: Vec<Value> = reports.iter().map(file).collect();
+        println!("{}", json!({ "whole": is_whole, "files": files }));
+    } else {
+        reports.iter().for_each(print_report);
+    }
+    Ok(verdict(is_whole))
+}
+
+fn verdict(is_whole: bool) -> Verdict {
+    match is_whole {
+        true => Verdict::Done,
+        false => Verdict::Failed,
+    }
+}
+
+fn file(report: &FileReport) -> Value {
+    json!({
+        "path": report.path.display().to_string(),
+        "bytes": report.n_bytes,
+        "frames": report.n_frames,
+        "messages": report.summary.n_messages(),
+        "problems": report.problems,
+    })
+}
+
+fn print_report(report: &FileReport) {
+    let name = report
+        .path
+        .file_name()
+        .map(Path::new)
+        .unwrap_or(&report.path);
+    println!(
+        "{}  {} frames  {} messages  {}  {}",
+        name.display(),
+        report.n_frames,
+        report.summary.n_messages(),
+        megabytes(report.n_bytes),
+        match report.problems.is_empty() {
+            true => "whole",
+            false => "damaged",
+        }
+    );
+    for problem in &report.problems {
+        println!("  {problem}");
+    }
+}

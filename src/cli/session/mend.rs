@@ -1,0 +1,76 @@
+//! `relief session repair` and `rm`.
+
+use super::{RemoveArgs, SessionArgs};
+use crate::cli::run::Verdict;
+use mcap_session::{RecordingError, RepairNote, Repaired, SESSION_FILE_NAME};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// `relief session repair`: one recording, or all in a folder that were left open.
+pub fn repair(args: &SessionArgs) -> anyhow::Result<Verdict> {
+    let is_parent = args.session.is_dir() && !args.session.join(SESSION_FILE_NAME).exists();
+    let repaired: Vec<Repaired> = match is_parent {
+        true => mcap_session::repair_abandoned(&args.session)?,
+        false => vec![(
+            args.session.clone(),
+            Ok(mcap_session::repair(&args.session)?),
+        )],
+    };
+    let has_failed = repaired.iter().any(|(_, result)| result.is_err());
+    match args.json {
+        true => {
+            let recordings: Vec<Value> = repaired.iter().map(object).collect();
+            println!("{}", json!({ "recordings": recordings }));
+        }
+        false => repaired
+            .iter()
+            .for_each(|(path, result)| println!("{}", line(path, result))),
+    }
+    Ok(match has_failed {
+        true => Verdict::Failed,
+        false => Verdict::Done,
+    })
+}
+
+fn object((path, result): &Repaired) -> Value {
+    let note = result.as_ref().ok().and_then(Option::as_ref);
+    json!({
+        "path": path.display().to_string(),
+        "repaired": note.is_some(),
+        "repair": note,
+        "error": result.as_ref().err().map(ToString::to_string),
+    })
+}
+
+fn line(path: &Path, result: &Result<Option<RepairNote>, RecordingError>) -> String {
+    let path = path.display();
+    let note = match result {
+        Ok(None) => return format!("{path} is whole"),
+        Err(error) => return format!("{path} is not repaired: {error}"),
+        Ok(Some(note)) => note,
+    };
+    let lost = match note.frames_lost {
+        Some(lost) => format!("{lost} lost"),
+        None => "how many were lost is not known".to_owned(),
+    };
+    format!(
+        "{path} is repaired: {} frames, {lost}; {} bytes cut off, {} passed over",
+        note.frames_recovered, note.bytes_cut, note.bytes_passed_over
+    )
+}
+
+/// `relief session rm`.
+pub fn remove(args: &RemoveArgs) -> anyhow::Result<Verdict> {
+    for session in &args.sessions {
+        mcap_session::remove(session)?;
+        if !args.json {
+            println!("{} is removed", session.display());
+        }
+    }
+    if args.json {
+        let sessions = args.sessions.iter();
+        let removed: Vec<String> = sessions.map(|path| path.display().to_string()).collect();
+        println!("{}", json!({ "removed": removed }));
+    }
+    Ok(Verdict::Done)
+}
