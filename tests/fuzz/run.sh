@@ -13,10 +13,23 @@ done
 export RUSTFLAGS="${passes[*]} -Ccodegen-units=1 --cfg fuzzing"
 # Naming the host's own target keeps the counters out of build scripts.
 ${CARGO:-cargo} build --release --locked --target "$host"
-mkdir -p artifacts
-for target in kinect1_packets kinect2_packet recordings; do
-    mkdir -p "corpus/$target"
-    printf '\n== %s for %s s ==\n' "$target" "$seconds"
-    "target/$host/release/$target" "corpus/$target" "seeds/$target" -len_control=0 -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 \
-        -max_len=4096 -artifact_prefix="artifacts/$target-" -print_final_stats=1 2>&1 | grep -v '^#.*\(NEW\|REDUCE\|pulse\)'
+mkdir -p artifacts logs
+targets=(kinect1_packets kinect2_packet recordings)
+fuzz() {
+    mkdir -p "corpus/$1"
+    "target/$host/release/$1" "corpus/$1" "seeds/$1" -len_control=0 -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 \
+        -max_len=4096 -artifact_prefix="artifacts/$1-" -print_final_stats=1 >"logs/$1" 2>&1
+}
+# All at once: each has one thread.
+jobs=()
+for target in "${targets[@]}"; do
+    fuzz "$target" &
+    jobs+=($!)
 done
+failed=0
+for index in "${!targets[@]}"; do
+    wait "${jobs[$index]}" || failed=1
+    printf '\n== %s for %s s ==\n' "${targets[$index]}" "$seconds"
+    grep -v '^#.*\(NEW\|REDUCE\|pulse\)' "logs/${targets[$index]}" | tail -n 40
+done
+exit "$failed"
