@@ -12,9 +12,14 @@ use std::env;
 pub fn run(args: &RunArgs) -> anyhow::Result<Verdict> {
     let program = env::current_exe().context("the program does not find itself")?;
     run_daemon(DaemonSetup {
-        source: CameraSource::Replay {
-            session: args.replay.clone(),
-            repeat: args.repeat,
+        source: match &args.replay {
+            Some(session) => CameraSource::Replay {
+                session: session.clone(),
+                repeat: args.repeat,
+            },
+            None => CameraSource::Live {
+                serial: args.device.clone(),
+            },
         },
         places: SettingsPlaces {
             config: args.config.clone(),

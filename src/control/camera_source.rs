@@ -1,6 +1,11 @@
 //! The daemon's one camera: opened anew for every scan.
 
+use crate::{
+    config::ConfigError,
+    devices::{self, DeviceParams, Machine, OpenError},
+};
 use depth_camera::{CameraError, CameraInfo, DepthCamera};
+use mcap_session::open_session;
 use replay::{Pacing, ReplayCamera};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -16,6 +21,35 @@ pub enum CameraSource {
         /// Whether it begins anew when it ends.
         repeat: bool,
     },
+    /// A live device.
+    Live {
+        /// Its serial number; the only Kinect that can be used without one.
+        serial: Option<String>,
+    },
+}
+
+/// Why there is no camera.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// The recording, or the camera that plays it, makes no sense.
+    #[error("the camera cannot be used: {0}")]
+    Camera(#[from] CameraError),
+    /// The device cannot be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// What is known of the device cannot be read.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// No device was named, and it is not clear which is meant.
+    #[error("{}", which(.0))]
+    Unclear(Vec<String>),
+}
+
+fn which(usable: &[String]) -> String {
+    match usable {
+        [] => "no Kinect can be used; `relief doctor` tells why".to_owned(),
+        serials => format!("--device must name one of {}", serials.join(", ")),
+    }
 }
 
 /// A camera by name.
@@ -38,29 +72,60 @@ impl DeviceName {
 }
 
 impl CameraSource {
-    /// Opens the camera; may wait for it.
+    /// Opens the camera; may wait for it. `params_of` tells what a driver has to know of the device with that serial number.
     ///
     /// # Errors
     /// If it is not there, in use, or makes no sense.
-    pub fn open(&self) -> Result<Box<dyn DepthCamera>, CameraError> {
+    pub fn open(
+        &self,
+        params_of: impl FnOnce(&str) -> Result<DeviceParams, ConfigError>,
+    ) -> Result<Box<dyn DepthCamera>, SourceError> {
         match self {
             CameraSource::Replay { session, repeat } => {
-                let camera = ReplayCamera::open(session)?.with_pacing(Pacing::Recorded);
+                let pacing = Pacing::Recorded;
                 Ok(match repeat {
-                    true => Box::new(camera.repeating()),
-                    false => Box::new(camera),
+                    true => Box::new(ReplayCamera::open(session)?.with_pacing(pacing).repeating()),
+                    false => open_session(session, pacing)?.camera,
                 })
             }
+            CameraSource::Live { serial } => {
+                let serial = match serial {
+                    Some(serial) => serial.clone(),
+                    None => only(usable())?,
+                };
+                Ok(devices::open(&serial, &params_of(&serial)?)?)
+            }
+        }
+    }
+
+    /// Looks whether the camera makes sense, without opening a device: one that is not there yet may come.
+    ///
+    /// # Errors
+    /// For a recording that cannot be played.
+    pub fn check(&self) -> Result<(), CameraError> {
+        match self {
+            CameraSource::Replay { session, repeat } => match repeat {
+                true => ReplayCamera::open(session).map(drop),
+                false => open_session(session, Pacing::Recorded).map(drop),
+            },
+            CameraSource::Live { .. } => Ok(()),
         }
     }
 
     /// The cameras that this daemon may scan with, those that answer.
     pub fn list(&self) -> Vec<DeviceName> {
         match self {
-            CameraSource::Replay { session, .. } => ReplayCamera::open(session)
-                .map(|camera| DeviceName::of(camera.info()))
+            CameraSource::Replay { session, .. } => open_session(session, Pacing::Recorded)
+                .map(|opened| DeviceName::of(opened.camera.info()))
                 .into_iter()
                 .collect(),
+            CameraSource::Live { serial } => {
+                let mut devices = usable();
+                if let Some(serial) = serial {
+                    devices.retain(|device| device.serial == *serial);
+                }
+                devices
+            }
         }
     }
 
@@ -68,6 +133,47 @@ impl CameraSource {
     pub fn session(&self) -> Option<&Path> {
         match self {
             CameraSource::Replay { session, .. } => Some(session),
+            CameraSource::Live { .. } => None,
         }
+    }
+}
+
+/// The Kinects that nothing is known to keep from working.
+fn usable() -> Vec<DeviceName> {
+    let kinects = devices::list(&Machine::this()).into_iter();
+    kinects
+        .filter(|kinect| kinect.obstacle.is_none())
+        .filter_map(|kinect| {
+            Some(DeviceName {
+                sensor: kinect.model.sensor().name().to_owned(),
+                serial: kinect.serial?,
+            })
+        })
+        .collect()
+}
+
+fn only(usable: Vec<DeviceName>) -> Result<String, SourceError> {
+    let serials: Vec<String> = usable.into_iter().map(|device| device.serial).collect();
+    match <[String; 1]>::try_from(serials) {
+        Ok([serial]) => Ok(serial),
+        Err(serials) => Err(SourceError::Unclear(serials)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_that_is_not_named_must_be_the_only_one() {
+        let named = |serial: &str| DeviceName {
+            serial: serial.to_owned(),
+            sensor: "kinect1".to_owned(),
+        };
+        assert_eq!(only(vec![named("A")]).unwrap(), "A");
+        let error = only(vec![named("A"), named("B")]).unwrap_err();
+        assert_eq!(error.to_string(), "--device must name one of A, B");
+        let error = only(Vec::new()).unwrap_err().to_string();
+        assert!(error.starts_with("no Kinect can be used"), "{error}");
     }
 }

@@ -21,7 +21,7 @@ use depth_camera::CameraError;
 use std::{
     io,
     net::{SocketAddr, TcpListener as StdTcpListener},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -90,8 +90,9 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         Some(root) => DataFolder::open(&root)?,
         None => DataFolder::open(&DataFolder::conventional()?)?,
     };
+    mend_recordings(&data.sessions());
     // A camera that makes no sense is told of now, not at the first scan.
-    drop(setup.source.open()?);
+    setup.source.check()?;
     let listener = listen(setup.listen)?;
     let access = Access {
         token: match setup.requires_token {
@@ -116,6 +117,32 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
     runtime.shutdown_background();
     supervisor.worker.stop();
     ended
+}
+
+/// Mends what a daemon that was killed left open; a recording that cannot be mended costs nothing but itself.
+fn mend_recordings(sessions: &Path) {
+    let repaired = match mcap_session::repair_abandoned(sessions) {
+        Ok(repaired) => repaired,
+        Err(error) => {
+            tracing::warn!(%error, "recordings were not looked at");
+            return;
+        }
+    };
+    for (path, result) in repaired {
+        let path = path.display();
+        match result {
+            Ok(Some(note)) => tracing::warn!(
+                %path,
+                frames_recovered = note.frames_recovered,
+                frames_lost = note.frames_lost,
+                "a recording was left open and is repaired"
+            ),
+            Ok(None) => {}
+            Err(error) => {
+                tracing::error!(%path, %error, "a recording was left open and cannot be repaired")
+            }
+        }
+    }
 }
 
 struct Daemon {

@@ -5,7 +5,14 @@ use super::{
     signals::{self, Signals},
 };
 use crate::pipeline::{Handle, Outcome, SpawnError};
-use std::{io, time::Duration};
+use std::{
+    io,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
 use tokio::{runtime, task, time};
 
 /// How often progress is shown.
@@ -40,6 +47,35 @@ pub fn operate(
         // Before the first thread starts: from now on a signal finds somebody who listens.
         let mut signals = Signals::new()?;
         accompany(start()?, &mut signals, progress).await
+    })
+}
+
+/// Does work that ends by itself, or soon after its flag is set: the first signal sets it, the second ends the process at once.
+///
+/// # Errors
+/// If the system refuses, or the work panics.
+pub fn until_stopped<T: Send + 'static>(
+    work: impl FnOnce(&AtomicBool) -> T + Send + 'static,
+) -> Result<T, ControlError> {
+    let runtime = runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    runtime.block_on(async {
+        let mut signals = Signals::new()?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = stop.clone();
+        let mut done = task::spawn_blocking(move || work(&flag));
+        loop {
+            tokio::select! {
+                result = &mut done => return Ok(result?),
+                name = signals.next() => {
+                    if stop.swap(true, Ordering::Relaxed) {
+                        signals::exit_at_once(name);
+                    }
+                    tracing::info!("{name}: stopping");
+                }
+            }
+        }
     })
 }
 

@@ -3,6 +3,7 @@
 use super::camera_source::CameraSource;
 use crate::{
     config::{self, CalibrationPlaces, Config, ConfigError, Overrides},
+    devices::DeviceParams,
     pipeline::{PipelineParams, WhenFull},
 };
 use depth_camera::CameraInfo;
@@ -102,6 +103,19 @@ impl Settings {
     /// Whether there is a file to read anew, and which.
     pub fn file(&self) -> Option<&Path> {
         self.places.config.as_deref()
+    }
+
+    /// What a driver has to know of a device.
+    ///
+    /// # Errors
+    /// For a calibration that cannot be read.
+    pub fn device_params(&self, serial: &str) -> Result<DeviceParams, ConfigError> {
+        let places = CalibrationPlaces {
+            given: self.places.calibration.as_deref(),
+            folder: &self.places.calibration_dir,
+            session: None,
+        };
+        config::params_for_device(serial, &places, &self.config().devices)
     }
 
     /// What a scan with a camera is to know; refinement is another process's.

@@ -1,7 +1,7 @@
 //! One camera, one scan at a time, many scans in the daemon's life: starts them, waits for them, and outlives them.
 
 use super::{
-    camera_source::{CameraSource, DeviceName},
+    camera_source::{CameraSource, DeviceName, SourceError},
     data_folder::{DataFolder, SessionId},
     events::{Events, Topic},
     interim,
@@ -17,7 +17,6 @@ use crate::{
         Pipeline, SpawnError, Watch,
     },
 };
-use depth_camera::CameraError;
 use serde_json::json;
 use std::{
     fs, io,
@@ -40,8 +39,8 @@ pub enum StartError {
     #[error("the daemon is ending")]
     Draining,
     /// The camera does not answer.
-    #[error("the camera cannot be used: {0}")]
-    Camera(#[from] CameraError),
+    #[error(transparent)]
+    Camera(#[from] SourceError),
     /// The calibration makes no sense.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -262,7 +261,9 @@ impl Supervisor {
 
     /// Opens the camera and starts the pipeline; waits for device and disk.
     fn open(&self, label: Option<String>) -> Result<(Handle, Arc<Scan>), StartError> {
-        let camera = self.source.open()?;
+        let camera = self
+            .source
+            .open(|serial| self.settings.device_params(serial))?;
         let id = SessionId::generate();
         let device = DeviceName::of(camera.info());
         let params = self

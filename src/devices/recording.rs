@@ -4,7 +4,8 @@ use super::DeviceParams;
 use depth_camera::{CameraError, DepthCamera};
 use freenect1::RawDisparityCamera;
 use freenect2::RawPacketCamera;
-use replay::{Pacing, ReplayCamera};
+use mcap_session::open_session;
+use replay::Pacing;
 use std::path::Path;
 
 /// What a folder holds.
@@ -41,7 +42,7 @@ pub fn open_recording(
     pacing: Pacing,
 ) -> Result<Box<dyn DepthCamera>, CameraError> {
     Ok(match Recording::of_folder(folder) {
-        Recording::Session => Box::new(ReplayCamera::open(folder)?.with_pacing(pacing)),
+        Recording::Session => open_session(folder, pacing)?.camera,
         Recording::RawDisparity => Box::new(RawDisparityCamera::open(folder)?.with_pacing(pacing)),
         Recording::RawPackets => {
             let camera = RawPacketCamera::open(folder, params.kinect2.decoder_options())?;

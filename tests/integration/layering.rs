@@ -61,6 +61,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "control",
         &[
             "pipeline",
+            "devices",
             "jobs",
             "config",
             "export",

@@ -129,6 +129,7 @@ fn choose(path: &Path, bag: &Bag) -> Result<Plan, String> {
             ir_full_scale: with_infrared.then_some(IR_FULL_SCALE),
             light: with_infrared.then(Light::kinect2_emitter),
             n_frames: None,
+            ir_gain: None,
         },
         depth_topic: (*depth_topic).clone(),
         infrared_topic,

@@ -6,7 +6,11 @@ use super::{
     problem::{Problem, ProblemBody},
 };
 use crate::{
-    control::supervisor::{Scan, StartError},
+    control::{
+        camera_source::SourceError,
+        supervisor::{Scan, StartError},
+    },
+    devices::OpenError,
     export::encode_png_grey8,
     geometry::Pose,
     pipeline::{Command, CommandRefused, LiveSnapshot},
@@ -59,15 +63,28 @@ pub async fn start(
     Ok((StatusCode::CREATED, Json(StartedBody { id })).into_response())
 }
 
+/// What keeps a camera from being used, for programs.
+fn code_of(error: &SourceError) -> &'static str {
+    match error {
+        SourceError::Camera(source) | SourceError::Open(OpenError::Camera { source, .. }) => {
+            match source {
+                CameraError::Busy => "device_busy",
+                CameraError::PermissionDenied => "device_forbidden",
+                _ => "no_device",
+            }
+        }
+        SourceError::Config(_) => "bad_config",
+        SourceError::Open(_) | SourceError::Unclear(_) => "no_device",
+    }
+}
+
 impl From<StartError> for Problem {
     fn from(error: StartError) -> Self {
         let unavailable = |code| Problem::new(StatusCode::SERVICE_UNAVAILABLE, code, &error);
         match &error {
             StartError::AlreadyScanning => Problem::conflict("already_scanning", error),
             StartError::Draining => Problem::conflict("draining", error),
-            StartError::Camera(CameraError::Busy) => unavailable("device_busy"),
-            StartError::Camera(CameraError::PermissionDenied) => unavailable("device_forbidden"),
-            StartError::Camera(_) => unavailable("no_device"),
+            StartError::Camera(error) => unavailable(code_of(error)),
             StartError::Config(_) => Problem::conflict("bad_config", error),
             StartError::Folder(_) | StartError::Record(_) => unavailable("storage_failed"),
             StartError::Spawn(_) | StartError::Program(_) => Problem::internal(error),

@@ -33,6 +33,7 @@ pub fn camera_info(width: usize, height: usize) -> CameraInfo {
         ir_full_scale: Some(65_535.0),
         light: Some(Light::kinect2_emitter()),
         n_frames: None,
+        ir_gain: None,
     }
 }
 
