@@ -113,9 +113,10 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
             alone < -0.06,
             "{x} m from the edge: {alone} of the light is missing"
         );
+        // Patches are coarse beside the edge, and as bright as they are seen, which holds the second bounce too.
         assert!(
-            with.abs() < 0.035,
-            "{x} m from the edge: {with} of the light is wrong"
+            with.abs() < 0.4 * alone.abs(),
+            "{x} m from the edge: {with} of the light is wrong, {alone} without"
         );
     }
 }
