@@ -198,7 +198,10 @@ mod tests {
                 let energy = labelling.energy(&labelling.solve());
                 // Boykov et al. show at most twice the least; rounding is below 0.01.
                 assert!(energy >= least - 1e-9 && energy <= 2.0 * least + 0.01);
-                assert!(n_labels > 2 || energy < least + 0.01, "two labels take the least");
+                assert!(
+                    n_labels > 2 || energy < least + 0.01,
+                    "two labels take the least"
+                );
                 (found, best) = (found + energy, best + least);
             }
         }
