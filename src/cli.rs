@@ -18,10 +18,13 @@ use anyhow::{Context, anyhow, bail, ensure};
 use calibrate::CalibrateCommand;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use config::ConfigCommand;
+use daemon::RunArgs;
 use depth_camera::Sensor;
+use devices::{DevicesArgs, DoctorArgs};
 use logging::LogFormat;
 use nalgebra::{Quaternion, Translation3, Unit};
 use package::{CompletionsArgs, ManArgs};
+use record::RecordArgs;
 use relief::{
     config::Overrides,
     control::ProgressStyle,
@@ -30,7 +33,7 @@ use relief::{
     refine::{Crop, Roi},
 };
 use session::SessionCommand;
-use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, str::FromStr};
+use std::{num::NonZeroUsize, path::PathBuf, str::FromStr};
 
 /// Turns a hand-held Kinect scan into a mesh with detail below the depth sensor's noise, from infrared shading.
 #[derive(Debug, Parser)]
@@ -118,44 +121,6 @@ impl Command {
             | Command::Man(_) => false,
         }
     }
-}
-
-/// `relief run`.
-#[derive(Debug, Args)]
-pub struct RunArgs {
-    /// Play this session at its own pace, as if it were a device
-    #[arg(long, value_name = "SESSION", conflicts_with = "device")]
-    pub replay: Option<PathBuf>,
-    /// Scan with the Kinect of this serial number; with the only one there is without it
-    #[arg(long, value_name = "SERIAL")]
-    pub device: Option<String>,
-    /// Begin the session anew whenever it ends
-    #[arg(long, requires = "replay")]
-    pub repeat: bool,
-    /// Configuration; keys that it leaves out keep their defaults. Read anew on SIGHUP
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Data directory, of one daemon at a time; $STATE_DIRECTORY, $XDG_STATE_HOME/relief or ~/.local/state/relief without it
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
-    /// Where to listen: an address of this machine alone. A socket from the service manager comes first
-    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8047")]
-    pub listen: SocketAddr,
-    /// Ask every request for the token in DATA/token, as Bearer or as the password that browsers ask for
-    #[arg(long)]
-    pub require_token: bool,
-    /// Record the frames of every scan
-    #[arg(long)]
-    pub record: bool,
-    /// Calibration of the IR image: a device's own file, or a complete one
-    #[arg(long, value_name = "FILE")]
-    pub calibration: Option<PathBuf>,
-    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
-    #[arg(long, value_name = "DIR")]
-    pub calibration_dir: Option<PathBuf>,
-    /// Threads of each pool; all processors without it
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
 }
 
 /// `relief replay`.
@@ -418,81 +383,6 @@ pub struct EvaluateArgs {
     /// Print one JSON object on standard output
     #[arg(long)]
     pub json: bool,
-}
-
-/// `relief devices`.
-#[derive(Debug, Args)]
-pub struct DevicesArgs {
-    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
-    #[arg(long, value_name = "DIR", default_value = "/")]
-    pub root: PathBuf,
-    /// Print one JSON object on standard output
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `relief doctor`.
-#[derive(Debug, Args)]
-pub struct DoctorArgs {
-    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
-    #[arg(long, value_name = "DIR", default_value = "/")]
-    pub root: PathBuf,
-    /// Folder that scans and recordings go to
-    #[arg(long, value_name = "DIR", default_value = ".")]
-    pub data: PathBuf,
-    /// Configuration, beside which calibrations are looked for
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Folder of the calibrations named SERIAL.toml
-    #[arg(long, value_name = "DIR")]
-    pub calibration_dir: Option<PathBuf>,
-    /// Print the udev rules that let a Kinect be used, and nothing else
-    #[arg(long)]
-    pub print_rules: bool,
-    /// Print one JSON object on standard output
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `relief record`.
-#[derive(Debug, Args)]
-pub struct RecordArgs {
-    /// Serial number of the device, as `relief devices` lists it
-    #[arg(long, value_name = "SERIAL")]
-    pub device: String,
-    /// Folder for the recording, new or empty
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
-    /// Record what the device sends, nothing decoded: disparity of a Kinect I, packets of a Kinect II (90 MB/s)
-    #[arg(long)]
-    pub raw: bool,
-    /// End after so many seconds; else at SIGINT or SIGTERM
-    #[arg(long, value_name = "N", value_parser = seconds)]
-    pub seconds: Option<f64>,
-    /// Configuration; keys that it leaves out keep their defaults
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Calibration of the IR image: a device's own file, or a complete one
-    #[arg(long, value_name = "FILE")]
-    pub calibration: Option<PathBuf>,
-    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
-    #[arg(long, value_name = "DIR")]
-    pub calibration_dir: Option<PathBuf>,
-    /// Print one JSON object on standard output
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// A duration that makes sense.
-fn seconds(text: &str) -> anyhow::Result<f64> {
-    let secs: f64 = text
-        .parse()
-        .with_context(|| format!("\"{text}\" is no number"))?;
-    ensure!(
-        (0.1..=1e6).contains(&secs),
-        "{secs} s, must be 0.1 to 1000000"
-    );
-    Ok(secs)
 }
 
 /// A number of folds.

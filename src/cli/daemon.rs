@@ -1,12 +1,48 @@
 //! `relief run`: the command line of the daemon.
 
-use super::{
-    RunArgs,
-    run::{Verdict, all_processors, calibration_folder},
-};
+use super::run::{Verdict, all_processors, calibration_folder};
 use anyhow::Context;
+use clap::Args;
 use relief::control::{CameraSource, DaemonError, DaemonSetup, SettingsPlaces, run_daemon};
-use std::env;
+use std::{env, net::SocketAddr, num::NonZeroUsize, path::PathBuf};
+
+/// `relief run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Play this session at its own pace, as if it were a device
+    #[arg(long, value_name = "SESSION", conflicts_with = "device")]
+    pub replay: Option<PathBuf>,
+    /// Scan with the Kinect of this serial number; with the only one there is without it
+    #[arg(long, value_name = "SERIAL")]
+    pub device: Option<String>,
+    /// Begin the session anew whenever it ends
+    #[arg(long, requires = "replay")]
+    pub repeat: bool,
+    /// Configuration; keys that it leaves out keep their defaults. Read anew on SIGHUP
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Data directory, of one daemon at a time; $STATE_DIRECTORY, $XDG_STATE_HOME/relief or ~/.local/state/relief without it
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Where to listen: an address of this machine alone. A socket from the service manager comes first
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8047")]
+    pub listen: SocketAddr,
+    /// Ask every request for the token in DATA/token, as Bearer or as the password that browsers ask for
+    #[arg(long)]
+    pub require_token: bool,
+    /// Record the frames of every scan
+    #[arg(long)]
+    pub record: bool,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Threads of each pool; all processors without it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+}
 
 /// Runs until a signal ends it.
 pub fn run(args: &RunArgs) -> anyhow::Result<Verdict> {

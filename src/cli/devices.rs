@@ -1,6 +1,7 @@
 //! `relief devices` and `relief doctor`: what is plugged in, and what keeps it from working.
 
-use super::{DevicesArgs, DoctorArgs, run::Verdict, run::calibration_folder};
+use super::{run::Verdict, run::calibration_folder};
+use clap::Args;
 use relief::{
     config::calibration_path,
     devices::{
@@ -11,7 +12,41 @@ use relief::{
 };
 use serde::Serialize;
 use serde_json::json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// `relief devices`.
+#[derive(Debug, Args)]
+pub struct DevicesArgs {
+    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
+    #[arg(long, value_name = "DIR", default_value = "/")]
+    pub root: PathBuf,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `relief doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArgs {
+    /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
+    #[arg(long, value_name = "DIR", default_value = "/")]
+    pub root: PathBuf,
+    /// Folder that scans and recordings go to
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub data: PathBuf,
+    /// Configuration, beside which calibrations are looked for
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Print the udev rules that let a Kinect be used, and nothing else
+    #[arg(long)]
+    pub print_rules: bool,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
 
 /// A Kinect as `--json` tells of it.
 #[derive(Serialize)]

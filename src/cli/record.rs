@@ -1,7 +1,8 @@
 //! `relief record`: a live device into a folder, decoded or raw.
 
-use super::{RecordArgs, run::Verdict, run::calibration_folder};
-use anyhow::Context;
+use super::{run::Verdict, run::calibration_folder};
+use anyhow::{Context, ensure};
+use clap::Args;
 use depth_camera::{CameraError, DepthCamera, Frame};
 use relief::{
     config::{self, CalibrationPlaces, Config, Overrides},
@@ -11,10 +12,51 @@ use relief::{
 use replay::{SessionWriter, WriteError};
 use serde::Serialize;
 use std::{
-    path::Path,
+    path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
+
+/// `relief record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Serial number of the device, as `relief devices` lists it
+    #[arg(long, value_name = "SERIAL")]
+    pub device: String,
+    /// Folder for the recording, new or empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Record what the device sends, nothing decoded: disparity of a Kinect I, packets of a Kinect II (90 MB/s)
+    #[arg(long)]
+    pub raw: bool,
+    /// End after so many seconds; else at SIGINT or SIGTERM
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Configuration; keys that it leaves out keep their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Calibration of the IR image: a device's own file, or a complete one
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of the calibrations named SERIAL.toml; "calibration" beside the --config file, or here, without it
+    #[arg(long, value_name = "DIR")]
+    pub calibration_dir: Option<PathBuf>,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A duration that makes sense.
+fn seconds(text: &str) -> anyhow::Result<f64> {
+    let secs: f64 = text
+        .parse()
+        .with_context(|| format!("\"{text}\" is no number"))?;
+    ensure!(
+        (0.1..=1e6).contains(&secs),
+        "{secs} s, must be 0.1 to 1000000"
+    );
+    Ok(secs)
+}
 
 /// How long one wait for a frame lasts, after which it is looked whether to stop.
 const GRAB_TIMEOUT: Duration = Duration::from_millis(200);

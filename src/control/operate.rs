@@ -13,7 +13,10 @@ use std::{
     },
     time::Duration,
 };
-use tokio::{runtime, task, time};
+use tokio::{
+    runtime::{self, Runtime},
+    task, time,
+};
 
 /// How often progress is shown.
 const REFRESH: Duration = Duration::from_millis(200);
@@ -40,10 +43,7 @@ pub fn operate(
     start: impl FnOnce() -> Result<Handle, SpawnError>,
     progress: &Progress,
 ) -> Result<Outcome, ControlError> {
-    let runtime = runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
-    runtime.block_on(async {
+    runtime()?.block_on(async {
         // Before the first thread starts: from now on a signal finds somebody who listens.
         let mut signals = Signals::new()?;
         accompany(start()?, &mut signals, progress).await
@@ -57,10 +57,7 @@ pub fn operate(
 pub fn until_stopped<T: Send + 'static>(
     work: impl FnOnce(&AtomicBool) -> T + Send + 'static,
 ) -> Result<T, ControlError> {
-    let runtime = runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
-    runtime.block_on(async {
+    runtime()?.block_on(async {
         let mut signals = Signals::new()?;
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
@@ -77,6 +74,11 @@ pub fn until_stopped<T: Send + 'static>(
             }
         }
     })
+}
+
+/// The runtime of one command: this thread, with timers and signals.
+fn runtime() -> io::Result<Runtime> {
+    runtime::Builder::new_current_thread().enable_all().build()
 }
 
 async fn accompany(
