@@ -4,6 +4,8 @@
 //! Every cell of a grid keeps one of its vertices, so that whatever is known of vertices stays true. Not handled: topology;
 //! thin parts may close.
 
+use super::TriMesh;
+use nalgebra::Point3;
 use std::collections::{HashMap, HashSet};
 
 /// The cell grows by this factor until few enough faces are left: a fifth, so that the result has at least about two thirds
@@ -39,6 +41,18 @@ pub fn cluster_vertices(
         if clustering.faces.len() <= max_faces {
             return clustering;
         }
+    }
+}
+
+/// The mesh with the vertices of each cell of a grid, metres, taken for one.
+pub fn coarsened(mesh: &TriMesh, cell_m: f64) -> TriMesh {
+    let narrow = |vertex: &Point3<f64>| vertex.coords.cast::<f32>().into();
+    let positions: Vec<[f32; 3]> = mesh.vertices.iter().map(narrow).collect();
+    let Clustering { kept, faces } = cluster(&positions, &mesh.faces, cell_m);
+    let vertex = |&kept: &u32| mesh.vertices[kept as usize];
+    TriMesh {
+        vertices: kept.iter().map(vertex).collect(),
+        faces,
     }
 }
 
@@ -182,6 +196,25 @@ mod tests {
             assert!(turn > 0.0, "a face was turned over");
         }
         assert!(coarse.kept.is_sorted());
+    }
+
+    #[test]
+    fn a_coarsened_plane_is_the_same_plane_of_fewer_faces() {
+        let (positions, faces) = grid(100);
+        let vertex = |p: &[f32; 3]| Point3::from(p.map(f64::from));
+        let fine = TriMesh {
+            vertices: positions.iter().map(vertex).collect(),
+            faces,
+        };
+        let coarse = coarsened(&fine, 0.04);
+        assert!(coarse.faces.len() < fine.faces.len() / 8);
+        assert!((coarse.area_m2() / fine.area_m2() - 1.0).abs() < 0.1);
+        assert!(
+            coarse
+                .vertices
+                .iter()
+                .all(|vertex| fine.vertices.contains(vertex))
+        );
     }
 
     #[test]

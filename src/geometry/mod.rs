@@ -20,7 +20,7 @@ mod watertight;
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use cells::CellGrid;
-pub use clustering::{Clustering, cluster_vertices};
+pub use clustering::{Clustering, cluster_vertices, coarsened};
 pub use manifold::{Manifold, border_loops, cut_to_manifold};
 pub use mesh::{EdgeAdjacency, TriMesh};
 pub use patch::{DepthPatch, PixelSquare};

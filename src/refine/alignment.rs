@@ -42,8 +42,10 @@ pub struct AlignmentTarget<'a> {
     pub mesh: &'a TriMesh,
     /// Centroid of each face.
     pub sites: &'a [Point3<f64>],
-    /// Faces that the view sees.
+    /// Faces to align by, of those that the view sees.
     pub faces: &'a [u32],
+    /// How many sites each of them stands for.
+    pub stands_for: f64,
     /// Albedo of each face.
     pub albedo: &'a [f64],
     /// Centre of the object, world frame.
@@ -96,7 +98,7 @@ fn normal_equations(
             continue;
         };
         let covered = sample.covered(view, area);
-        let weight = target.loss.weight(residual) * covered;
+        let weight = target.loss.weight(residual) * covered * target.stands_for;
         jtj += row * row.transpose() * weight;
         jtr += row * (residual * weight);
     }

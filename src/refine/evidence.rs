@@ -10,7 +10,7 @@
 //! detail: on a scan with known truth it puts vertices in the order of their errors, and lies within a factor of two of the error
 //! of their detail, while the slow shape was off by four times as much.
 
-use super::energy::{NormalMatrix, Problem, Surface, unit_normal};
+use super::energy::{Problem, Surface, unit_normal};
 use super::observations::Observations;
 use super::rounds::{Rounds, State, final_loss, prior_weights};
 use super::sites::{Sites, ViewSet};
@@ -93,15 +93,14 @@ impl Evidence {
 }
 
 impl Rounds<'_> {
-    /// What a set of views says of a state's surface; `None` if memory does not suffice.
-    pub fn evidence(&self, state: &State, learning: ViewSet) -> Option<Evidence> {
+    /// What the views that see a state's sites say of its surface; `None` if memory does not suffice.
+    pub fn evidence(&self, state: &State, sites: &Sites) -> Option<Evidence> {
         let State {
             surface,
             views,
             albedo,
         } = state;
-        let sites = Sites::new(&surface.mesh, views, learning);
-        let observations = Observations::new(&sites, views);
+        let observations = Observations::new(sites, views);
         let problem = Problem {
             observations: &observations,
             albedo: &albedo.by_face,
@@ -112,8 +111,8 @@ impl Rounds<'_> {
         };
         let with_images = problem.linearise(surface, self.pattern.couplings());
         let without = problem.prior_matrix(&surface.total_m, self.pattern.couplings());
-        let (posterior, prior) =
-            rayon::join(|| self.variances(&with_images), || self.variances(&without));
+        let variances = |matrix| self.pattern.inverse_diagonal(matrix);
+        let (posterior, prior) = rayon::join(|| variances(&with_images), || variances(&without));
         let (posterior, prior) = (posterior?, prior?);
         let sigma = |variance: &f64| (REDUNDANCY * variance).sqrt();
         let pairs = posterior.iter().zip(&prior);
@@ -123,12 +122,8 @@ impl Rounds<'_> {
                 .map(|(with, without)| (1.0 - with / without).clamp(0.0, 1.0))
                 .collect(),
             coverage: self.coverage(&problem, surface),
-            n_views: views_of_vertices(surface, &sites),
+            n_views: views_of_vertices(surface, sites),
         })
-    }
-
-    fn variances(&self, matrix: &NormalMatrix) -> Option<Vec<f64>> {
-        self.pattern.inverse_diagonal(matrix)
     }
 
     fn coverage(&self, problem: &Problem, surface: &Surface) -> Vec<f64> {

@@ -2,6 +2,7 @@
 //! after another, the best of all labellings in which any number of sites change to it, as a smallest cut.
 
 use super::max_flow::{Edge, FlowNetwork};
+use std::collections::VecDeque;
 
 /// What labels cost: each at each site, and each neighbour with another one.
 pub struct Labelling<'a> {
@@ -15,12 +16,18 @@ pub struct Labelling<'a> {
     pub pair_cost: f64,
 }
 
+/// No neighbour.
+const NONE: u32 = u32::MAX;
 /// Whole numbers of a network to a unit of cost.
 const RESOLUTION: f64 = 1024.0;
 /// No label costs this much more than another: less than what rounding could carry away.
 const MAX_DIFFERENCE: f64 = 1e6;
 /// Cycles over all labels at most; two or three are the rule.
 const MAX_CYCLES: usize = 5;
+
+fn are_equal(costs: &[f64]) -> bool {
+    costs.windows(2).all(|pair| pair[0] == pair[1])
+}
 
 /// What becomes of a site when a label expands.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -36,7 +43,55 @@ enum Fate {
 impl Labelling<'_> {
     /// Two labels by one cut, which is the least energy of all (Greig, Porteous and Seheult 1989); of more the cheapest of each
     /// site by itself, then expanded until no label lowers the energy.
+    ///
+    /// Sites to which all labels cost the same take part in no cut: they take the label of the nearest that do.
     pub fn solve(&self) -> Vec<u8> {
+        let is_silent: Vec<bool> = self
+            .costs
+            .chunks_exact(self.n_labels.max(1))
+            .map(are_equal)
+            .collect();
+        let neighbours: Vec<[u32; 3]> = self
+            .neighbours
+            .iter()
+            .zip(&is_silent)
+            .map(|(others, &silent)| {
+                others.map(
+                    |other| match silent || other == NONE || is_silent[other as usize] {
+                        true => NONE,
+                        false => other,
+                    },
+                )
+            })
+            .collect();
+        let among_themselves = Labelling {
+            neighbours: &neighbours,
+            ..*self
+        };
+        let mut labels = among_themselves.cut();
+        self.spread(&mut labels, is_silent);
+        labels
+    }
+
+    /// Gives silent sites the label of the nearest others, by steps from neighbour to neighbour.
+    fn spread(&self, labels: &mut [u8], mut is_silent: Vec<bool>) {
+        let mut queue: VecDeque<usize> =
+            (0..labels.len()).filter(|&site| !is_silent[site]).collect();
+        while let Some(site) = queue.pop_front() {
+            for other in self.neighbours[site]
+                .into_iter()
+                .filter(|&other| other != NONE)
+            {
+                let other = other as usize;
+                if std::mem::take(&mut is_silent[other]) {
+                    labels[other] = labels[site];
+                    queue.push_back(other);
+                }
+            }
+        }
+    }
+
+    fn cut(&self) -> Vec<u8> {
         let n_sites = self.neighbours.len();
         match self.n_labels {
             0 | 1 => vec![0; n_sites],
@@ -95,7 +150,7 @@ impl Labelling<'_> {
             .flat_map(|(site, others)| {
                 let others = others.iter().map(|&other| other as usize);
                 others
-                    .filter(move |&other| other != u32::MAX as usize && site < other)
+                    .filter(move |&other| other != NONE as usize && site < other)
                     .map(move |other| (site, other))
             })
     }
@@ -206,6 +261,31 @@ mod tests {
             }
         }
         assert!(found < 1.01 * best, "{found} for {best}");
+    }
+
+    #[test]
+    fn sites_that_all_labels_cost_the_same_follow_the_nearest_and_hold_nobody() {
+        // Two at the left end prefer the first label, two at the right end the second; nothing is known of those between.
+        let neighbours: Vec<[u32; 3]> = (0..10u32)
+            .map(|site| {
+                [
+                    site.wrapping_sub(1),
+                    if site < 9 { site + 1 } else { NONE },
+                    NONE,
+                ]
+            })
+            .collect();
+        let mut costs = vec![0.3; 20];
+        costs[..4].copy_from_slice(&[0.0, 1.0, 0.0, 1.0]);
+        costs[16..].copy_from_slice(&[1.0, 0.0, 1.0, 0.0]);
+        let labelling = Labelling {
+            costs: &costs,
+            n_labels: 2,
+            neighbours: &neighbours,
+            // Were those between joined to both ends, one border would cost more than all that is known.
+            pair_cost: 5.0,
+        };
+        assert_eq!(labelling.solve(), [0, 0, 0, 0, 0, 1, 1, 1, 1, 1]);
     }
 
     #[test]

@@ -9,6 +9,7 @@
 
 mod albedo;
 mod alignment;
+mod cholesky;
 mod clusters;
 #[cfg(test)]
 mod corner_tests;
@@ -63,7 +64,7 @@ use nalgebra::Point3;
 use preparation::{Preparation, first_views};
 use rounds::State;
 use serde::Serialize;
-use sites::{Sites, ViewError, ViewSet};
+use sites::{Sites, ViewError};
 use view::View;
 
 /// Most views that one refinement takes.
@@ -136,7 +137,7 @@ pub fn refine(
     let rounds = prepared.rounds();
     let n_views = subject.snapshots.len();
     let (all, held_out) = (first_views(n_views), views_to_hold_out(n_views));
-    let base = prepared.base(subject, all & !held_out)?;
+    let (base, errors_before) = prepared.base(subject, all & !held_out)?;
     let mut state = base.clone();
     let mut iterations = Vec::new();
     let mut accepted = |iteration| {
@@ -157,12 +158,14 @@ pub fn refine(
         let last = params.n_rounds..params.n_rounds + 1;
         status = rounds.run(last, all, &mut state, &mut accepted);
     }
-    let views = view_fits(&prepared, &base, &state, all);
+    let sites = Sites::new(&state.surface.mesh, &state.views, all);
+    let errors = sites.view_errors(&state.surface.mesh, &state.views, &state.albedo.by_face);
+    let views = view_fits(&state.views, prepared.centre(), &errors_before, &errors);
     let rmse = over_all(&views, |view| view.rmse_after);
     if rmse > MAX_BELIEVABLE_RMSE {
         return Err(RefineError::Contradicted { rmse });
     }
-    let evidence = rounds.evidence(&state, all);
+    let evidence = rounds.evidence(&state, &sites);
     let State {
         surface, albedo, ..
     } = &state;
@@ -228,23 +231,21 @@ pub fn validate(
 }
 
 /// How every view fits the base surface at its tracked pose, and the refined one.
-fn view_fits(prepared: &Preparation, base: &State, state: &State, all: ViewSet) -> Vec<ViewFit> {
-    let errors = |State {
-                      surface,
-                      views,
-                      albedo,
-                  }: &State| {
-        Sites::new(&surface.mesh, views, all).view_errors(&surface.mesh, views, &albedo.by_face)
-    };
-    let pairs = errors(base).into_iter().zip(errors(state));
-    let fit = |(view, (before, after)): (&View, (ViewError, ViewError))| ViewFit {
+fn view_fits(
+    views: &[View],
+    centre: &Point3<f64>,
+    before: &[ViewError],
+    after: &[ViewError],
+) -> Vec<ViewFit> {
+    let errors = before.iter().zip(after);
+    let fit = |(view, (before, after)): (&View, (&ViewError, &ViewError))| ViewFit {
         gain: view.gain,
-        shift_px: shift_px(view, prepared.centre()),
+        shift_px: shift_px(view, centre),
         n_sites: after.n_sites,
         rmse_before: before.rmse,
         rmse_after: after.rmse,
     };
-    state.views.iter().zip(pairs).map(fit).collect()
+    views.iter().zip(errors).map(fit).collect()
 }
 
 /// Root mean square over the sites of all views; 0 where nothing is seen.

@@ -10,10 +10,10 @@ use super::params::RefineParams;
 use super::patches::{self, Patch};
 use super::remesh::{RemeshParams, remesh};
 use super::rounds::{Rounds, State, centre_of};
-use super::sites::{Sites, ViewSet};
+use super::sites::{Sites, ViewError, ViewSet};
 use super::solver::Pattern;
-use super::view::{Optics, SATURATION, View, ViewContext};
-use crate::geometry::{EdgeAdjacency, TriMesh};
+use super::view::{HIDING_CELL_M, Optics, SATURATION, View, ViewContext};
+use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
 use crate::interreflection::WhiteLevel;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Point3;
@@ -72,7 +72,7 @@ impl Preparation {
         }
         let centre = centre_of(&mesh);
         let context = ViewContext {
-            scene,
+            scene: &coarsened(scene, HIDING_CELL_M),
             centre,
             optics,
             trust: &params.trust,
@@ -114,22 +114,32 @@ impl Preparation {
         }
     }
 
-    /// The base surface, with the albedo that a set of views gives it at their tracked poses.
+    /// The base surface, with the albedo that a set of views gives it at their tracked poses, and how all views fit it.
     ///
     /// # Errors
     /// If none of them sees it.
-    pub fn base(&self, subject: &Subject, learning: ViewSet) -> Result<State, RefineError> {
-        let sites = Sites::new(&self.mesh, &self.views, learning);
-        let albedo = self.rounds().first_albedo(&self.mesh, &sites, &self.views);
-        Ok(State {
-            surface: Surface {
-                directions: self.mesh.vertex_normals(),
-                total_m: vec![0.0; self.mesh.vertices.len()],
-                mesh: self.mesh.clone(),
-            },
-            views: self.views.clone(),
-            albedo: albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?,
-        })
+    pub fn base(
+        &self,
+        subject: &Subject,
+        learning: ViewSet,
+    ) -> Result<(State, Vec<ViewError>), RefineError> {
+        let (mesh, views) = (&self.mesh, &self.views);
+        let sites = Sites::new(mesh, views, first_views(views.len()));
+        let learnt = sites.only(learning);
+        let albedo = self.rounds().first_albedo(mesh, &learnt, views);
+        let albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
+        let errors = sites.view_errors(mesh, views, &albedo.by_face);
+        let surface = Surface {
+            directions: mesh.vertex_normals(),
+            total_m: vec![0.0; mesh.vertices.len()],
+            mesh: mesh.clone(),
+        };
+        let state = State {
+            surface,
+            views: views.clone(),
+            albedo,
+        };
+        Ok((state, errors))
     }
 
     /// Refines from a set of views and lets another judge.
@@ -142,7 +152,7 @@ impl Preparation {
         learning: ViewSet,
         judges: ViewSet,
     ) -> Result<Vec<JudgedView>, RefineError> {
-        let (rounds, base) = (self.rounds(), self.base(subject, learning)?);
+        let (rounds, (base, _)) = (self.rounds(), self.base(subject, learning)?);
         let mut state = base.clone();
         rounds.run(0..self.params.n_rounds, learning, &mut state, &mut |_| true);
         Ok(judge(&rounds, &base, &mut state, judges))

@@ -146,7 +146,7 @@ impl Rounds<'_> {
     pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &[f64]) {
         let alone = std::slice::from_ref(view);
         let sites = Sites::new(mesh, alone, 1);
-        let faces = sites.faces_of(0);
+        let (faces, stands_for) = sites_to_align_by(sites.faces_of(0));
         let centre = centre_of(mesh);
         for cutoff in CUTOFFS {
             let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
@@ -156,6 +156,7 @@ impl Rounds<'_> {
                 mesh,
                 sites: &sites.points,
                 faces: &faces,
+                stands_for,
                 albedo,
                 centre,
                 loss,
@@ -176,10 +177,12 @@ impl Rounds<'_> {
     ) {
         let centre = centre_of(mesh);
         views.par_iter_mut().enumerate().for_each(|(k, view)| {
+            let (faces, stands_for) = sites_to_align_by(sites.faces_of(k));
             let target = AlignmentTarget {
                 mesh,
                 sites: &sites.points,
-                faces: &sites.faces_of(k),
+                faces: &faces,
+                stands_for,
                 albedo: &albedo.by_face,
                 centre,
                 loss,
@@ -188,6 +191,18 @@ impl Rounds<'_> {
             fit_gain_field(view, &target);
         });
     }
+}
+
+/// Sites enough for the seven numbers of a view and its slow gains.
+const ALIGNMENT_SITES: usize = 8000;
+
+/// About that many of the faces that a view sees, spread evenly over the list, and how many each stands for.
+fn sites_to_align_by(faces: Vec<u32>) -> (Vec<u32>, f64) {
+    let n_seen = faces.len();
+    let stride = (n_seen / ALIGNMENT_SITES).max(1);
+    let chosen: Vec<u32> = faces.into_iter().step_by(stride).collect();
+    let stands_for = n_seen as f64 / chosen.len().max(1) as f64;
+    (chosen, stands_for)
 }
 
 /// Divides all gains by the geometric mean of a set's and returns it: gains and albedo share one scale, which is the
@@ -224,7 +239,7 @@ fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
             &look.pixel,
             without_field,
             look.observed,
-            robust * sample.covered(view, area) / (look.sigma * look.sigma),
+            robust * sample.covered(view, area) * target.stands_for / (look.sigma * look.sigma),
         );
     }
     view.gain_field = sums.solve(GAIN_FIELD_PRIOR);

@@ -5,69 +5,13 @@
 //! below them. Going from the last supernode to the first, every entry of `Z_II` that is asked for is there already. It
 //! costs about as much as two factorisations; no other entry of the inverse is ever computed.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::sparse::SparseColMatRef;
-use faer::sparse::linalg::SupernodalThreshold;
-use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
-    factorize_symbolic_cholesky, supernodal::SymbolicSupernodalCholesky,
-};
-use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
-
-/// The diagonal of the inverse of a symmetric positive definite matrix of which the lower half is given; `None` if it is not
-/// positive definite or memory does not suffice.
-pub fn inverse_diagonal(lower: SparseColMatRef<'_, usize, f64>) -> Option<Vec<f64>> {
-    let params = CholeskySymbolicParams {
-        // Always supernodes, even for a matrix without anything to eliminate.
-        supernodal_flop_ratio_threshold: SupernodalThreshold(-1.0),
-        ..CholeskySymbolicParams::default()
-    };
-    let ordering = SymmetricOrdering::Amd;
-    let symbolic =
-        factorize_symbolic_cholesky(lower.symbolic(), Side::Lower, ordering, params).ok()?;
-    let mut values = factorise(&symbolic, lower)?;
-    let SymbolicCholeskyRaw::Supernodal(supernodes) = symbolic.raw() else {
-        return None;
-    };
-    let permuted = selected_diagonal(supernodes, &mut values);
-    let Some(permutation) = symbolic.perm() else {
-        return Some(permuted);
-    };
-    let (old_of_new, _) = permutation.arrays();
-    let mut diagonal = vec![0.0; permuted.len()];
-    for (&old, value) in old_of_new.iter().zip(permuted) {
-        diagonal[old] = value;
-    }
-    Some(diagonal)
-}
-
-fn factorise(
-    symbolic: &SymbolicCholesky<usize>,
-    lower: SparseColMatRef<'_, usize, f64>,
-) -> Option<Vec<f64>> {
-    let mut values = Vec::new();
-    values.try_reserve_exact(symbolic.len_val()).ok()?;
-    values.resize(symbolic.len_val(), 0.0);
-    let scratch = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
-    let mut memory = MemBuffer::try_new(scratch).ok()?;
-    symbolic
-        .factorize_numeric_llt(
-            &mut values,
-            lower,
-            Side::Lower,
-            Default::default(),
-            Par::Seq,
-            MemStack::new(&mut memory),
-            Default::default(),
-        )
-        .ok()?;
-    Some(values)
-}
+use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
+use faer::{Accum, Mat, MatMut, MatRef, Par};
 
 /// Puts the inverse's entries in the place of the factor's, from the last supernode to the first; returns its diagonal.
-fn selected_diagonal(
+pub fn selected_diagonal(
     supernodes: &SymbolicSupernodalCholesky<usize>,
     values: &mut [f64],
 ) -> Vec<f64> {
@@ -210,9 +154,15 @@ impl<'a> Blocks<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::super::cholesky::Analysis;
+    use faer::Mat;
     use faer::linalg::solvers::DenseSolveCore;
-    use faer::sparse::{SparseColMat, Triplet};
+    use faer::sparse::{SparseColMat, SparseColMatRef, Triplet};
+
+    fn inverse_diagonal(lower: SparseColMatRef<'_, usize, f64>) -> Option<Vec<f64>> {
+        let analysis = Analysis::new(lower.symbolic())?;
+        Some(analysis.factorise(lower)?.inverse_diagonal())
+    }
 
     /// The Laplacian of a grid with a few long-range couplings, plus a little on the diagonal: fill at many levels.
     fn grid(side: usize) -> (SparseColMat<usize, f64>, Mat<f64>) {

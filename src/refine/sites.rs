@@ -48,6 +48,14 @@ impl Sites {
         Sites { points, visible }
     }
 
+    /// The same sites, seen by a set of views alone.
+    pub fn only(&self, set: ViewSet) -> Sites {
+        Sites {
+            points: self.points.clone(),
+            visible: self.visible.iter().map(|visible| visible & set).collect(),
+        }
+    }
+
     /// The faces that a view sees.
     pub fn faces_of(&self, view: usize) -> Vec<u32> {
         (0..self.visible.len() as u32)

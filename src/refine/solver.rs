@@ -1,12 +1,10 @@
 //! Levenberg–Marquardt on the robust energy with a sparse Cholesky factorisation whose analysis is made once a mesh.
 
+use super::cholesky::Analysis;
 use super::couplings::Couplings;
 use super::energy::{NormalMatrix, Problem, Surface};
-use super::selected_inverse::inverse_diagonal;
-use faer::Side;
-use faer::linalg::solvers::Solve;
-use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// How a solve ended.
@@ -52,7 +50,7 @@ pub struct Pattern {
     couplings: Couplings,
     column_starts: Vec<usize>,
     row_indices: Vec<usize>,
-    symbolic: SymbolicLlt<usize>,
+    analysis: Analysis,
 }
 
 impl Pattern {
@@ -69,7 +67,7 @@ impl Pattern {
             }
         }
         column_starts.push(row_indices.len());
-        let symbolic = {
+        let analysis = {
             let pattern = SymbolicSparseColMatRef::new_checked(
                 n_vertices,
                 n_vertices,
@@ -77,13 +75,13 @@ impl Pattern {
                 None,
                 &row_indices,
             );
-            SymbolicLlt::try_new(pattern, Side::Lower).ok()?
+            Analysis::new(pattern)?
         };
         Some(Pattern {
             couplings,
             column_starts,
             row_indices,
-            symbolic,
+            analysis,
         })
     }
 
@@ -95,18 +93,16 @@ impl Pattern {
     /// The diagonal of H⁻¹; `None` where H is not positive definite or memory does not suffice.
     pub fn inverse_diagonal(&self, matrix: &NormalMatrix) -> Option<Vec<f64>> {
         let values = self.values(matrix, 0.0);
-        inverse_diagonal(SparseColMatRef::new(self.shape(), &values))
+        let lower = SparseColMatRef::new(self.shape(), &values);
+        Some(self.analysis.factorise(lower)?.inverse_diagonal())
     }
 
     /// Solves `(H + damping · diag H) x = −gradient`; `None` where H is not positive definite.
     fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Vec<f64>> {
-        let n = matrix.diagonal.len();
         let values = self.values(matrix, damping);
         let lower = SparseColMatRef::new(self.shape(), &values);
-        let factor = Llt::try_new_with_symbolic(self.symbolic.clone(), lower, Side::Lower).ok()?;
-        let mut x = faer::Mat::from_fn(n, 1, |row, _| -matrix.gradient[row]);
-        factor.solve_in_place(&mut x);
-        let x: Vec<f64> = (0..n).map(|row| x[(row, 0)]).collect();
+        let descent = matrix.gradient.iter().map(|slope| -slope).collect();
+        let x = self.analysis.factorise(lower)?.solve(descent)?;
         x.iter().all(|value| value.is_finite()).then_some(x)
     }
 
@@ -200,22 +196,28 @@ pub fn minimise(
 fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
     const MIN_COSINE: f64 = 0.5;
     const HALVINGS: usize = 8;
-    let before: Vec<_> = (0..surface.mesh.faces.len())
-        .map(|face| surface.mesh.face_normal(face))
-        .collect();
+    let Surface {
+        mesh, directions, ..
+    } = surface;
+    let is_turned = |face: &[u32; 3], step: &[f64]| {
+        let moved = |vertex: u32| {
+            let vertex = vertex as usize;
+            mesh.vertices[vertex] + directions[vertex] * step[vertex]
+        };
+        let [old, new] = [
+            face.map(|vertex| mesh.vertices[vertex as usize]),
+            face.map(moved),
+        ]
+        .map(|[a, b, c]| (b - a).cross(&(c - a)));
+        new.dot(&old) < MIN_COSINE * new.norm() * old.norm()
+    };
     for _ in 0..HALVINGS {
-        let after = surface.displaced(step);
-        let mut any = false;
-        for (face, old) in before.iter().enumerate() {
-            let new = after.mesh.face_normal(face);
-            if new.dot(old) < MIN_COSINE * new.norm() * old.norm() {
-                any = true;
-                for &vertex in &surface.mesh.faces[face] {
-                    step[vertex as usize] *= 0.5;
-                }
-            }
+        let faces = mesh.faces.par_iter();
+        let turned: Vec<&[u32; 3]> = faces.filter(|face| is_turned(face, step)).collect();
+        for &vertex in turned.iter().copied().flatten() {
+            step[vertex as usize] *= 0.5;
         }
-        if !any {
+        if turned.is_empty() {
             break;
         }
     }

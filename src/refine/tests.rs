@@ -125,6 +125,7 @@ fn alignment_brings_a_moved_view_back() {
         mesh: &mesh,
         sites: &sites.points,
         faces: &sites.faces_of(0),
+        stands_for: 1.0,
         albedo: &vec![ALBEDO; mesh.faces.len()],
         centre: Point3::new(0.0, 0.0, 0.6),
         loss: Tukey {

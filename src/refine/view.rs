@@ -113,6 +113,8 @@ pub struct View {
 pub const SATURATION: f64 = 0.985;
 /// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
 const HIDDEN_BEYOND_M: f64 = 0.004;
+/// What hides is known to no less than this, metres.
+pub const HIDING_CELL_M: f64 = 0.004;
 /// Live depth nearer than the model by this much is something in front of it, metres.
 const OCCLUDER_M: f32 = 0.015;
 /// Depth differences beyond this between pixels two apart are an edge, metres; 78° at 0.6 m on Kinect II.
@@ -226,7 +228,13 @@ impl View {
         let point_light = Point3::from(-to_light);
         unhidden(&self.camera, &self.camera_depth_m, &point)
             && unhidden(&self.light_model, &self.light_depth_m, &point_light)
-            && self.look(point_world).is_some()
+            && self.shows(point_world)
+    }
+
+    /// Whether the pixels at a point are usable.
+    fn shows(&self, point_world: &Point3<f64>) -> bool {
+        let pixel = self.camera.project(&(self.camera_from_world * point_world));
+        pixel.is_some_and(|pixel| self.linear.has(pixel.x, pixel.y))
     }
 
     /// What this view shows at a point; `None` where its pixel is unusable.

@@ -69,13 +69,25 @@ fn sharpen(image: &Image<f32>) -> Image<f32> {
 }
 
 impl LinearImage {
+    /// Whether none of the pixels between which a place lies is missing.
+    #[inline]
+    pub fn has(&self, u: f64, v: f64) -> bool {
+        let (width, height) = (self.value.width(), self.value.height());
+        if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
+            return false;
+        }
+        let first = v as usize * width + u as usize;
+        let corners = [first, first + 1, first + width, first + width + 1];
+        corners.iter().all(|&at| !self.value.data()[at].is_nan())
+    }
+
     /// Value, its gradient (per pixel) and its sigma between pixels, bilinear; `None` where a pixel is missing.
     #[inline]
     pub fn sample(&self, u: f64, v: f64) -> Option<(f64, [f64; 2], f64)> {
-        let (width, height) = (self.value.width(), self.value.height());
-        if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
+        if !self.has(u, v) {
             return None;
         }
+        let width = self.value.width();
         let (u0, v0) = (u as usize, v as usize);
         let (fu, fv) = (u - u0 as f64, v - v0 as f64);
         let first = v0 * width + u0;
@@ -86,7 +98,7 @@ impl LinearImage {
         let value = top + (bottom - top) * fv;
         let gradient = [(b - a) + ((d - c) - (b - a)) * fv, bottom - top];
         let nearest = (v + 0.5) as usize * width + (u + 0.5) as usize;
-        (!value.is_nan()).then(|| (value, gradient, self.sigma.data()[nearest] as f64))
+        Some((value, gradient, self.sigma.data()[nearest] as f64))
     }
 }
 
