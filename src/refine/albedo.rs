@@ -130,6 +130,13 @@ impl Albedo {
         }
     }
 
+    /// Gives the groups other albedos.
+    pub fn repaint(&mut self, groups: Vec<f64>) {
+        let labels = self.labels.iter();
+        self.by_face = labels.map(|&label| groups[label as usize]).collect();
+        self.groups = groups;
+    }
+
     /// All albedos multiplied by a factor.
     pub fn scaled(mut self, factor: f64) -> Albedo {
         self.by_face

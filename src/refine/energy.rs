@@ -39,8 +39,8 @@ pub struct Surface {
 pub struct Problem<'a> {
     /// What the views show at each face: sampled and lit at its centroid at the start of the round (Sec. 4.3 holds d and l).
     pub observations: &'a Observations,
-    /// Albedo of each face.
-    pub albedo: &'a [f64],
+    /// Group of albedo of each face.
+    pub labels: &'a [u8],
     /// Scale of the residuals in sigmas, and the Tukey cut-off in that scale.
     pub loss: Tukey,
     /// Priors.
@@ -51,7 +51,7 @@ pub struct Problem<'a> {
     pub edges: &'a EdgeAdjacency,
 }
 
-/// Normal equations: `diagonal` by vertex, `off_diagonal` by edge, `gradient` by vertex.
+/// Normal equations: `diagonal` by vertex, `off_diagonal` by edge, `gradient` by vertex; the groups' albedos beside them.
 #[derive(Clone, Debug)]
 pub struct NormalMatrix {
     /// One entry a vertex.
@@ -60,6 +60,19 @@ pub struct NormalMatrix {
     pub off_diagonal: Vec<f64>,
     /// Derivative of the energy by each displacement.
     pub gradient: Vec<f64>,
+    /// One for each group of albedo.
+    pub groups: Vec<GroupTerms>,
+}
+
+/// What the normal equations hold of the logarithm of one group's albedo. Groups share no face and so do not couple.
+#[derive(Clone, Debug)]
+pub struct GroupTerms {
+    /// With itself.
+    pub diagonal: f64,
+    /// With the displacement of each vertex.
+    pub coupling: Vec<f64>,
+    /// Derivative of the energy.
+    pub gradient: f64,
 }
 
 /// Faces in a tile of a sum.
@@ -70,17 +83,19 @@ const TILE: usize = 2048;
 struct FaceBlock {
     jtj: Matrix3<f64>,
     jtr: Vector3<f64>,
+    /// The same sums with the logarithm of the albedo in the place of one displacement, and of both.
+    by_albedo: (Vector3<f64>, f64, f64),
 }
 
 impl Problem<'_> {
-    /// Energy of the surface.
-    pub fn energy(&self, surface: &Surface) -> f64 {
+    /// Energy of the surface with the groups' albedos.
+    pub fn energy(&self, surface: &Surface, albedos: &[f64]) -> f64 {
         let data: Vec<f64> = (0..surface.mesh.faces.len().div_ceil(TILE))
             .into_par_iter()
             .map(|tile| {
                 let end = ((tile + 1) * TILE).min(surface.mesh.faces.len());
                 (tile * TILE..end)
-                    .map(|face| self.face_energy(&surface.mesh, face))
+                    .map(|face| self.face_energy(&surface.mesh, albedos, face))
                     .sum()
             })
             .collect();
@@ -105,39 +120,55 @@ impl Problem<'_> {
             + self.priors.smoothness * smoothness)
     }
 
-    fn face_energy(&self, mesh: &TriMesh, face: usize) -> f64 {
+    fn face_energy(&self, mesh: &TriMesh, albedos: &[f64], face: usize) -> f64 {
         let Some((normal, area)) = unit_normal(mesh, face) else {
             return 0.0;
         };
+        let albedo = self.albedo_of(face, albedos);
         let mut energy = 0.0;
         for seen in self.observations.of(face) {
-            if let Some(residual) = seen.residual(&normal, self.albedo[face]) {
+            if let Some(residual) = seen.residual(&normal, albedo) {
                 energy += seen.covered(&normal, area) * self.loss.loss(residual);
             }
         }
         energy
     }
 
-    /// Gauss-Newton normal equations about the surface, robust weights held.
-    pub fn linearise(&self, surface: &Surface, couplings: &Couplings) -> NormalMatrix {
+    fn albedo_of(&self, face: usize, albedos: &[f64]) -> f64 {
+        albedos[self.labels[face] as usize]
+    }
+
+    /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held.
+    pub fn linearise(
+        &self,
+        surface: &Surface,
+        albedos: &[f64],
+        couplings: &Couplings,
+    ) -> NormalMatrix {
         let blocks: Vec<FaceBlock> = (0..surface.mesh.faces.len())
             .into_par_iter()
             .with_min_len(TILE)
-            .map(|face| self.face_block(surface, face))
+            .map(|face| self.face_block(surface, albedos, face))
             .collect();
         let mut matrix = self.prior_matrix(&surface.total_m, couplings);
-        for ((face, block), sides) in surface
-            .mesh
-            .faces
-            .iter()
-            .zip(&blocks)
-            .zip(&couplings.of_faces)
-        {
+        let nothing = GroupTerms {
+            diagonal: 0.0,
+            coupling: vec![0.0; surface.total_m.len()],
+            gradient: 0.0,
+        };
+        matrix.groups = vec![nothing; albedos.len()];
+        let faces = surface.mesh.faces.iter().zip(self.labels);
+        for (((face, &label), block), sides) in faces.zip(&blocks).zip(&couplings.of_faces) {
+            let group = &mut matrix.groups[label as usize];
+            let (coupling, diagonal, gradient) = block.by_albedo;
+            group.diagonal += diagonal;
+            group.gradient += gradient;
             for corner in 0..3 {
                 matrix.diagonal[face[corner] as usize] += block.jtj[(corner, corner)];
                 matrix.gradient[face[corner] as usize] += block.jtr[corner];
                 matrix.off_diagonal[sides[corner] as usize] +=
                     block.jtj[(corner, (corner + 1) % 3)];
+                group.coupling[face[corner] as usize] += coupling[corner];
             }
         }
         matrix
@@ -154,6 +185,7 @@ impl Problem<'_> {
             diagonal: vec![rest; total_m.len()],
             off_diagonal: vec![0.0; couplings.pairs.len()],
             gradient: total_m.iter().map(|t| rest * t).collect(),
+            groups: Vec::new(),
         };
         for (&[i, j], &entry) in self.edges.edges.iter().zip(&couplings.of_edges) {
             let (i, j) = (i as usize, j as usize);
@@ -179,7 +211,7 @@ impl Problem<'_> {
         matrix
     }
 
-    fn face_block(&self, surface: &Surface, face: usize) -> FaceBlock {
+    fn face_block(&self, surface: &Surface, albedos: &[f64], face: usize) -> FaceBlock {
         let mut block = FaceBlock::default();
         if self.observations.of(face).is_empty() {
             return block;
@@ -188,7 +220,7 @@ impl Problem<'_> {
             return block;
         };
         let by_corner = normal_by_displacement(surface, face, &normal);
-        let albedo = self.albedo[face];
+        let albedo = self.albedo_of(face, albedos);
         for seen in self.observations.of(face) {
             let Some(residual) = seen.residual(&normal, albedo) else {
                 continue;
@@ -199,6 +231,11 @@ impl Problem<'_> {
             let row = Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]));
             block.jtj += row * row.transpose() * weight;
             block.jtr += row * (weight * residual);
+            let by_log_albedo = residual - f64::from(seen.observed);
+            let (coupling, diagonal, gradient) = &mut block.by_albedo;
+            *coupling += row * (weight * by_log_albedo);
+            *diagonal += weight * by_log_albedo * by_log_albedo;
+            *gradient += weight * by_log_albedo * residual;
         }
         block
     }

@@ -103,13 +103,13 @@ impl Rounds<'_> {
         let observations = Observations::new(sites, views);
         let problem = Problem {
             observations: &observations,
-            albedo: &albedo.by_face,
+            labels: &albedo.labels,
             loss: final_loss(observations.residual_scale(&surface.mesh, &albedo.by_face)),
             priors: prior_weights(self.params),
             edges: self.edges,
             patches: self.patches,
         };
-        let with_images = problem.linearise(surface, self.pattern.couplings());
+        let with_images = problem.linearise(surface, &albedo.groups, self.pattern.couplings());
         let without = problem.prior_matrix(&surface.total_m, self.pattern.couplings());
         let variances = |matrix| self.pattern.inverse_diagonal(matrix);
         let (posterior, prior) = rayon::join(|| variances(&with_images), || variances(&without));
@@ -121,17 +121,17 @@ impl Rounds<'_> {
             confidence: pairs
                 .map(|(with, without)| (1.0 - with / without).clamp(0.0, 1.0))
                 .collect(),
-            coverage: self.coverage(&problem, surface),
+            coverage: self.coverage(&problem, surface, &albedo.by_face),
             n_views: views_of_vertices(surface, sites),
         })
     }
 
-    fn coverage(&self, problem: &Problem, surface: &Surface) -> Vec<f64> {
+    fn coverage(&self, problem: &Problem, surface: &Surface, albedo: &[f64]) -> Vec<f64> {
         let slope_sigma = self.params.slope_sigma_rad;
         let prior = 1.0 / (slope_sigma * slope_sigma);
         let of_faces: Vec<Matrix3<f64>> = (0..surface.mesh.faces.len())
             .into_par_iter()
-            .map(|face| tilt_information(problem, surface, face))
+            .map(|face| tilt_information(problem, surface, (face, albedo[face])))
             .collect();
         let mut sums = vec![Matrix3::zeros(); surface.mesh.vertices.len()];
         for (face, information) in surface.mesh.faces.iter().zip(&of_faces) {
@@ -149,11 +149,14 @@ impl Rounds<'_> {
 }
 
 /// What a facet's observations say of its tilt: the weighted sum of squared derivatives by the normal, per rad².
-fn tilt_information(problem: &Problem, surface: &Surface, face: usize) -> Matrix3<f64> {
+fn tilt_information(
+    problem: &Problem,
+    surface: &Surface,
+    (face, albedo): (usize, f64),
+) -> Matrix3<f64> {
     let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
         return Matrix3::zeros();
     };
-    let albedo = problem.albedo[face];
     let mut information = Matrix3::zeros();
     for seen in problem.observations.of(face) {
         if let Some(residual) = seen.residual(&normal, albedo) {

@@ -126,7 +126,7 @@ impl Rounds<'_> {
         }
         let problem = Problem {
             observations: &observations,
-            albedo: &albedo.by_face,
+            labels: &albedo.labels,
             loss,
             priors: prior_weights(self.params),
             edges: self.edges,
@@ -137,9 +137,17 @@ impl Rounds<'_> {
             min_decrease: 1e-4,
             max_step_m: 0.4 * self.params.edge_length_m,
         };
-        minimise(surface, &problem, self.pattern, &solver, |iteration| {
-            accepted(Iteration { round, ..iteration })
-        })
+        let mut groups = albedo.groups.clone();
+        let status = minimise(
+            surface,
+            &mut groups,
+            &problem,
+            self.pattern,
+            &solver,
+            |iteration| accepted(Iteration { round, ..iteration }),
+        );
+        albedo.repaint(groups);
+        status
     }
 
     /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held.

@@ -2,8 +2,9 @@
 
 use super::cholesky::Analysis;
 use super::couplings::Couplings;
-use super::energy::{NormalMatrix, Problem, Surface};
+use super::energy::{GroupTerms, NormalMatrix, Problem, Surface};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -97,13 +98,43 @@ impl Pattern {
         Some(self.analysis.factorise(lower)?.inverse_diagonal())
     }
 
-    /// Solves `(H + damping · diag H) x = −gradient`; `None` where H is not positive definite.
-    fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Vec<f64>> {
+    /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
+    /// taken out by their Schur complement. `None` where H is not positive definite.
+    fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
         let values = self.values(matrix, damping);
         let lower = SparseColMatRef::new(self.shape(), &values);
-        let descent = matrix.gradient.iter().map(|slope| -slope).collect();
-        let x = self.analysis.factorise(lower)?.solve(descent)?;
-        x.iter().all(|value| value.is_finite()).then_some(x)
+        let factor = self.analysis.factorise(lower)?;
+        let alone = factor.solve(matrix.gradient.iter().map(|slope| -slope).collect())?;
+        let groups: Vec<&GroupTerms> = matrix.groups.iter().collect();
+        let by_group: Option<Vec<Vec<f64>>> = groups
+            .iter()
+            .map(|group| factor.solve(group.coupling.clone()))
+            .collect();
+        let by_group = by_group?;
+        let complement = DMatrix::from_fn(groups.len(), groups.len(), |k, l| {
+            let own = match k == l {
+                true => groups[k].diagonal * (1.0 + damping) + NO_EVIDENCE,
+                false => 0.0,
+            };
+            own - dot(&groups[k].coupling, &by_group[l])
+        });
+        let descent = groups
+            .iter()
+            .map(|group| -group.gradient - dot(&group.coupling, &alone));
+        let descent = DVector::from_iterator(groups.len(), descent);
+        let log_albedo = complement.cholesky()?.solve(&descent);
+        let mut displacement = alone;
+        for (by_group, albedo) in by_group.iter().zip(&log_albedo) {
+            for (x, by_albedo) in displacement.iter_mut().zip(by_group) {
+                *x -= albedo * by_albedo;
+            }
+        }
+        let step = Step {
+            displacement,
+            log_albedo: log_albedo.as_slice().to_vec(),
+        };
+        let mut all = step.displacement.iter().chain(&step.log_albedo);
+        all.all(|value| value.is_finite()).then_some(step)
     }
 
     /// The lower half of `H + damping · diag H`, column by column.
@@ -125,6 +156,23 @@ impl Pattern {
     }
 }
 
+/// Where the energy's quadratic model has its minimum.
+struct Step {
+    /// Of each vertex along its direction, metres.
+    displacement: Vec<f64>,
+    /// Change of the logarithm of each group's albedo.
+    log_albedo: Vec<f64>,
+}
+
+/// Keeps the system of the albedos solvable where nobody sees a group: next to nothing beside one pixel.
+const NO_EVIDENCE: f64 = 1e-3;
+/// No logarithm of an albedo changes by more than this in one step.
+const MAX_ALBEDO_STEP: f64 = 0.1;
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
 /// Bounds of one inner solve.
 #[derive(Clone, Copy, Debug)]
 pub struct SolverParams {
@@ -136,34 +184,46 @@ pub struct SolverParams {
     pub max_step_m: f64,
 }
 
-/// Lowers the energy of the surface; the energy never rises.
+/// Lowers the energy by the surface and the groups' albedos together; it never rises. Brightness tells a darker material from
+/// a steeper slope by the slopes that depth holds, which neither finds with the other one fixed.
 pub fn minimise(
     surface: &mut Surface,
+    albedos: &mut Vec<f64>,
     problem: &Problem,
     pattern: &Pattern,
     params: &SolverParams,
     mut accepted: impl FnMut(Iteration) -> bool,
 ) -> RefineStatus {
     const MAX_DAMPING: f64 = 1e6;
-    let mut energy = problem.energy(surface);
+    let mut energy = problem.energy(surface, albedos);
     let mut damping = 1e-4;
     for _ in 0..params.max_steps {
-        let matrix = problem.linearise(surface, &pattern.couplings);
-        let (next, next_energy, max_step_m) = loop {
-            let Some(mut step) = pattern.solve(&matrix, damping) else {
+        let matrix = problem.linearise(surface, albedos, &pattern.couplings);
+        let (next, next_albedos, next_energy, max_step_m) = loop {
+            let Some(step) = pattern.solve(&matrix, damping) else {
                 return RefineStatus::Singular;
             };
-            for value in &mut step {
+            let Step {
+                mut displacement,
+                log_albedo,
+            } = step;
+            for value in &mut displacement {
                 *value = value.clamp(-params.max_step_m, params.max_step_m);
             }
-            hold_back_flips(surface, &mut step);
-            let trial = surface.displaced(&step);
-            let trial_energy = problem.energy(&trial);
+            hold_back_flips(surface, &mut displacement);
+            let trial = surface.displaced(&displacement);
+            let change = |by: &f64| by.clamp(-MAX_ALBEDO_STEP, MAX_ALBEDO_STEP).exp();
+            let pairs = albedos.iter().zip(&log_albedo);
+            let trial_albedos: Vec<f64> = pairs.map(|(albedo, by)| albedo * change(by)).collect();
+            let trial_energy = problem.energy(&trial, &trial_albedos);
             if trial_energy < energy {
                 break (
                     trial,
+                    trial_albedos,
                     trial_energy,
-                    step.iter().fold(0.0, |max: f64, s| max.max(s.abs())),
+                    displacement
+                        .iter()
+                        .fold(0.0, |max: f64, s| max.max(s.abs())),
                 );
             }
             damping *= 10.0;
@@ -171,7 +231,7 @@ pub fn minimise(
                 return RefineStatus::Stalled;
             }
         };
-        *surface = next;
+        (*surface, *albedos) = (next, next_albedos);
         let iteration = Iteration {
             round: 0,
             energy_before: energy,

@@ -62,7 +62,9 @@ fn gradient_matches_central_differences_of_the_energy() {
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let problem = Problem {
         observations: &Observations::new(&sites, &views),
-        albedo: &vec![ALBEDO; surface.mesh.faces.len()],
+        labels: &(0..surface.mesh.faces.len())
+            .map(|face| (face % 2) as u8)
+            .collect::<Vec<_>>(),
         loss: Tukey {
             scale: 2.0,
             cutoff: 4.685,
@@ -75,7 +77,8 @@ fn gradient_matches_central_differences_of_the_energy() {
         patches: &patches,
         edges: &edges,
     };
-    let matrix = problem.linearise(&surface, &couplings);
+    let albedos = [ALBEDO, 0.97 * ALBEDO];
+    let matrix = problem.linearise(&surface, &albedos, &couplings);
     let largest = matrix
         .gradient
         .iter()
@@ -84,13 +87,26 @@ fn gradient_matches_central_differences_of_the_energy() {
         let moved = |step: f64| {
             let mut steps = vec![0.0; surface.total_m.len()];
             steps[vertex] = step;
-            problem.energy(&surface.displaced(&steps))
+            problem.energy(&surface.displaced(&steps), &albedos)
         };
         let numeric = (moved(1e-8) - moved(-1e-8)) / 2e-8;
         // Covered area is held in the derivative and moves in the energy: second order, below a hundredth.
         assert!(
             (numeric - matrix.gradient[vertex]).abs() < 1e-2 * largest,
             "{vertex}: {numeric}"
+        );
+    }
+    for group in 0..2 {
+        let changed = |by: f64| {
+            let mut albedos = albedos;
+            albedos[group] *= by.exp();
+            problem.energy(&surface, &albedos)
+        };
+        let numeric = (changed(1e-6) - changed(-1e-6)) / 2e-6;
+        let analytic = matrix.groups[group].gradient;
+        assert!(
+            (numeric / analytic - 1.0).abs() < 1e-4,
+            "{numeric} {analytic}"
         );
     }
 }
