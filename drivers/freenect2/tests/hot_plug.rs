@@ -1,4 +1,5 @@
 //! Unplugging and plugging in as udev tells of them, long before silence or a look at the bus would.
+#![allow(clippy::unwrap_used, reason = "a test may fail anywhere")]
 
 mod support;
 #[path = "../../udev-monitor/tests/testbed/mod.rs"]

@@ -1,4 +1,5 @@
 //! A mocked bus: events by umockdev's own library, through the sockets that programs listen on.
+#![allow(clippy::unwrap_used, reason = "a test may fail anywhere")]
 
 use std::{
     env,
