@@ -7,10 +7,7 @@ use super::{CaptureParams, Event, EventKind, continuity::Continuity};
 use depth_camera::{CameraError, DepthCamera, Frame};
 use serde::Serialize;
 use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::atomic::{AtomicBool, Ordering},
     thread,
     time::{Duration, Instant},
 };
@@ -22,7 +19,7 @@ const STALLED_AFTER: usize = 2;
 #[derive(Clone, Debug)]
 pub enum Delivery {
     /// A frame.
-    Frame(Arc<Frame>),
+    Frame(Frame),
     /// Something that happened, never to be dropped.
     Event(Event),
     /// The device is doing otherwise than before. After a gap this comes before the first frame.
@@ -135,7 +132,7 @@ impl Device<'_> {
                 self.heard(deliver);
                 self.summary.n_frames += 1;
                 let frame = self.continuity.carry_on(frame);
-                let is_wanted = deliver(Delivery::Frame(Arc::new(frame)));
+                let is_wanted = deliver(Delivery::Frame(frame));
                 (!is_wanted).then_some(CaptureEnd::Unwanted)
             }
             Err(CameraError::DamagedFrame { frame_id, reason }) => {

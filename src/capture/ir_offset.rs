@@ -1,7 +1,6 @@
 //! Frames whose IR image does not lie on the depth image's pixel grid, as a raw Kinect I delivers them.
 
 use depth_camera::{Frame, Image};
-use std::sync::Arc;
 
 /// Moves IR images onto the grid of the depth images by whole pixels: what is left, half a pixel at most, refinement's
 /// alignment of views takes up. The camera's intrinsics are those of the depth grid.
@@ -21,33 +20,42 @@ impl IrOffset {
         }
     }
 
-    /// The frame with its IR on the depth image's grid; what the IR image does not show is black, which nothing uses.
-    pub fn remove_from(self, frame: Arc<Frame>) -> Arc<Frame> {
-        match &frame.ir {
-            Some(ir) if (self.right, self.down) != (0, 0) => Arc::new(Frame {
-                ir: Some(self.moved(ir)),
-                depth: frame.depth.clone(),
-                ..*frame
-            }),
-            _ => frame,
+    /// Whether nothing has to be moved.
+    pub fn is_zero(self) -> bool {
+        (self.right, self.down) == (0, 0)
+    }
+
+    /// The frame with its IR on the depth image's grid, moved in place; what the IR image does not show is black, which nothing
+    /// uses.
+    pub fn remove_from(self, mut frame: Frame) -> Frame {
+        if let Some(ir) = frame.ir.as_mut().filter(|_| !self.is_zero()) {
+            self.move_content(ir);
+        }
+        frame
+    }
+
+    fn move_content(self, ir: &mut Image<u16>) {
+        let (width, height) = (ir.width(), ir.height());
+        let mut move_row = |v| self.move_row(v, width, height, ir.data_mut());
+        // A row is read before it is written.
+        match self.down >= 0 {
+            true => (0..height).for_each(&mut move_row),
+            false => (0..height).rev().for_each(&mut move_row),
         }
     }
 
-    fn moved(self, ir: &Image<u16>) -> Image<u16> {
-        let (width, height) = (ir.width(), ir.height());
-        let mut moved = Image::filled(width, height, 0);
-        for v in 0..height {
-            let Some(from) = v.checked_add_signed(self.down).filter(|v| *v < height) else {
-                continue;
-            };
-            let row = &mut moved.data_mut()[v * width..(v + 1) * width];
-            for (u, value) in row.iter_mut().enumerate() {
-                if let Some(from_u) = u.checked_add_signed(self.right).filter(|u| *u < width) {
-                    *value = *ir.at(from_u, from);
-                }
-            }
-        }
-        moved
+    fn move_row(self, v: usize, width: usize, height: usize, data: &mut [u16]) {
+        // Columns that have a source: from `start` up to `end`.
+        let start = self.right.min(0).unsigned_abs().min(width);
+        let end = width.saturating_sub(self.right.max(0).unsigned_abs());
+        let from = v.checked_add_signed(self.down).filter(|v| *v < height);
+        let Some(from) = from.filter(|_| start < end) else {
+            return data[v * width..(v + 1) * width].fill(0);
+        };
+        let source = from * width + start.saturating_add_signed(self.right);
+        data.copy_within(source..source + end - start, v * width + start);
+        data[v * width..v * width + start].fill(0);
+        data[v * width + end..(v + 1) * width].fill(0);
     }
 }
 
@@ -56,14 +64,14 @@ mod tests {
     use super::*;
     use std::time::Instant;
 
-    fn frame(ir: Option<Image<u16>>) -> Arc<Frame> {
-        Arc::new(Frame {
+    fn frame(ir: Option<Image<u16>>) -> Frame {
+        Frame {
             frame_id: 3,
             device_time_secs: 1.0,
             host_time: Instant::now(),
             depth: Some(Image::filled(4, 3, 0.5)),
             ir,
-        })
+        }
     }
 
     #[test]

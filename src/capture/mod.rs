@@ -10,6 +10,7 @@ mod frame_recorder;
 mod infrared_rate;
 mod ir_offset;
 mod recorder;
+mod shared_frames;
 
 pub use device::{CaptureEnd, CaptureSummary, Delivery, DeviceHealth, run_device};
 pub use event::{Event, EventKind, Tracked};
@@ -17,6 +18,7 @@ pub use frame_recorder::{RecordFormat, RecordingStanding};
 pub use infrared_rate::InfraredRate;
 pub use ir_offset::IrOffset;
 pub use recorder::{Recorder, RecorderSummary};
+pub use shared_frames::SharedFrames;
 
 use serde::{Deserialize, Serialize};
 use std::time::Duration;

@@ -10,9 +10,10 @@ use super::{
 };
 use anyhow::Context;
 use depth_camera::{CameraInfo, Image};
-use mcap_session::open_session;
 use relief::{
-    config::{self, CalibrationPlaces, Config},
+    capture::IrOffset,
+    config::{self, CalibrationPlaces, Config, FoundCalibration},
+    devices::open_recording,
     evaluate::{PosePair, TrajectoryError, trajectory_error},
     fusion::{DepthNoise, Fit, Fusion, FusionStep, InfraredOptics, LiveMesh, TrackingOutcome},
     geometry::CameraModel,
@@ -97,15 +98,19 @@ const LIVE_EVERY_FRAMES: usize = 10;
 /// `relief bench`.
 pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
-    let mut camera = open_session(&args.session, Pacing::AsFastAsPossible)?.camera;
+    let pacing = Pacing::AsFastAsPossible;
+    let mut camera = open_recording(&args.session, &config.devices, pacing)?;
     let n_threads = args.threads.unwrap_or_else(run::all_processors);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(n_threads.get())
         .build()?;
     let truth = measured_poses(&args.session)?;
-    let infrared = calibrated_infrared(args, &config, camera.info())?;
+    let calibration = found_calibration(args, camera.info())?.calibration;
+    let ir_offset = IrOffset::nearest(calibration.ir_offset_px);
+    let infrared = infrared_optics(&config.fusion, &calibration, camera.info());
     let mut run = Run::new(camera.info(), &config, infrared);
     while let Some(frame) = camera.grab(Duration::ZERO)? {
+        let frame = ir_offset.remove_from(frame);
         if let Some(depth) = &frame.depth {
             if let Some(ir) = &frame.ir {
                 run.fusion.see(ir);
@@ -141,19 +146,14 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     Ok(Verdict::Done)
 }
 
-/// What tracking has to know of the session's infrared images, with the calibration that a replay would take.
-fn calibrated_infrared(
-    args: &BenchArgs,
-    config: &Config,
-    info: &CameraInfo,
-) -> anyhow::Result<Option<InfraredOptics>> {
+/// The calibration that a replay would take.
+fn found_calibration(args: &BenchArgs, info: &CameraInfo) -> anyhow::Result<FoundCalibration> {
     let places = CalibrationPlaces {
         given: None,
         folder: &run::calibration_folder(None, args.config.as_deref()),
         session: Some(run::session_folder(&args.session)),
     };
-    let found = config::find_calibration(info, &places)?;
-    Ok(infrared_optics(&config.fusion, &found.calibration, info))
+    Ok(config::find_calibration(info, &places)?)
 }
 
 /// The measured poses that lie beside a recording, if there are any.

@@ -7,11 +7,23 @@ mod page;
 mod print;
 mod targets;
 
-use super::{numbers, run::Verdict};
+use super::{
+    numbers,
+    run::{Verdict, session_name},
+};
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use depth_camera::{DepthCamera, Frame};
-use std::{path::PathBuf, str::FromStr, time::Duration};
+use relief::{
+    config::{Config, MeasuredSession},
+    devices::{content_hash, open_recording},
+};
+use replay::Pacing;
+use std::{
+    path::{Path, PathBuf},
+    str::FromStr,
+    time::Duration,
+};
 use targets::Aim;
 
 /// What to measure.
@@ -53,6 +65,23 @@ pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
         CalibrateCommand::Offset(args) => offset::offset(args),
         CalibrateCommand::Depth(args) => depth::depth(args),
     }
+}
+
+/// A recording of any kind, as fast as it can be read; raw ones are decoded as the configuration says.
+fn open(session: &Path, config: &Config) -> anyhow::Result<Box<dyn DepthCamera>> {
+    Ok(open_recording(
+        session,
+        &config.devices,
+        Pacing::AsFastAsPossible,
+    )?)
+}
+
+/// A session as a measurement names it.
+fn measured_session(session: &Path) -> anyhow::Result<MeasuredSession> {
+    Ok(MeasuredSession {
+        name: session_name(session),
+        content: content_hash(session)?,
+    })
 }
 
 /// The next frame of a recording that is not damaged; `None` at its end.

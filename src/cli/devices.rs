@@ -1,9 +1,12 @@
 //! `relief devices` and `relief doctor`: what is plugged in, and what keeps it from working.
 
+mod watch;
+
 use super::{run::Verdict, run::calibration_folder};
 use clap::Args;
 use relief::{
     config::calibration_path,
+    control,
     devices::{
         Controller, Kinect, Machine, Model,
         doctor::{self, Check, Finding, Level},
@@ -20,7 +23,10 @@ pub struct DevicesArgs {
     /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
     #[arg(long, value_name = "DIR", default_value = "/")]
     pub root: PathBuf,
-    /// Print one JSON object on standard output
+    /// Go on, and tell of each Kinect that comes or goes, until SIGINT or SIGTERM
+    #[arg(long)]
+    pub watch: bool,
+    /// Print one JSON object on standard output; with --watch one a line for each change
     #[arg(long)]
     pub json: bool,
 }
@@ -85,6 +91,11 @@ fn entry(kinect: &Kinect) -> Entry<'_> {
 
 /// `relief devices`.
 pub fn devices(args: &DevicesArgs) -> anyhow::Result<Verdict> {
+    if args.watch {
+        let (root, json) = (args.root.clone(), args.json);
+        control::until_stopped(move |stop| watch::watch(&root, json, stop))??;
+        return Ok(Verdict::Done);
+    }
     let kinects = list(&Machine::under(&args.root));
     let entries: Vec<_> = kinects.iter().map(entry).collect();
     if args.json {
@@ -94,26 +105,28 @@ pub fn devices(args: &DevicesArgs) -> anyhow::Result<Verdict> {
     if entries.is_empty() {
         println!("no Kinect is plugged in; `relief doctor` looks for the reason");
     }
-    for entry in entries {
-        let speed = entry.speed_mbps.map(|speed| format!(" at {speed} Mbit/s"));
-        let controller = entry
-            .controller
-            .map(|controller| format!(", controller {}", controller.address));
-        println!(
-            "{}  {} (release {}), port {}{}{}",
-            entry.serial.unwrap_or("(no serial number)"),
-            entry.model_name,
-            entry.release,
-            entry.port,
-            speed.unwrap_or_default(),
-            controller.unwrap_or_default(),
-        );
-        match entry.obstacle {
-            None => println!("    ready"),
-            Some(obstacle) => println!("    not usable: {obstacle}"),
-        }
-    }
+    entries.iter().for_each(print_entry);
     Ok(Verdict::Done)
+}
+
+fn print_entry(entry: &Entry<'_>) {
+    let speed = entry.speed_mbps.map(|speed| format!(" at {speed} Mbit/s"));
+    let controller = entry
+        .controller
+        .map(|controller| format!(", controller {}", controller.address));
+    println!(
+        "{}  {} (release {}), port {}{}{}",
+        entry.serial.unwrap_or("(no serial number)"),
+        entry.model_name,
+        entry.release,
+        entry.port,
+        speed.unwrap_or_default(),
+        controller.unwrap_or_default(),
+    );
+    match &entry.obstacle {
+        None => println!("    ready"),
+        Some(obstacle) => println!("    not usable: {obstacle}"),
+    }
 }
 
 /// `relief doctor`.
@@ -155,7 +168,7 @@ fn calibration(kinect: &Kinect, folder: &Path) -> Option<Finding> {
                 "{} is not there: what is shipped for every device is used",
                 path.display()
             ),
-            "relief calibrate; docs/calibration.md says how",
+            "relief calibrate response SPHERE WALL, then flat-field, light and offset: README, \"Calibrating a sensor\"",
         ),
         Err(error) => Finding::error(
             Check::Calibration,

@@ -2,10 +2,9 @@
 
 use crate::{
     config::ConfigError,
-    devices::{self, DeviceParams, Machine, OpenError},
+    devices::{self, DeviceParams, Machine, OpenError, Recording, open_recording},
 };
 use depth_camera::{CameraError, CameraInfo, DepthCamera};
-use mcap_session::open_session;
 use replay::{Pacing, ReplayCamera};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -82,11 +81,9 @@ impl CameraSource {
     ) -> Result<Box<dyn DepthCamera>, SourceError> {
         match self {
             CameraSource::Replay { session, repeat } => {
-                let pacing = Pacing::Recorded;
-                Ok(match repeat {
-                    true => Box::new(ReplayCamera::open(session)?.with_pacing(pacing).repeating()),
-                    false => open_session(session, pacing)?.camera,
-                })
+                // A recording of packets is decoded as the configuration says; no calibration has a say in that.
+                let params = params_of("")?;
+                Ok(play(session, *repeat, &params)?)
             }
             CameraSource::Live { serial } => {
                 let serial = match serial {
@@ -104,10 +101,9 @@ impl CameraSource {
     /// For a recording that cannot be played.
     pub fn check(&self) -> Result<(), CameraError> {
         match self {
-            CameraSource::Replay { session, repeat } => match repeat {
-                true => ReplayCamera::open(session).map(drop),
-                false => open_session(session, Pacing::Recorded).map(drop),
-            },
+            CameraSource::Replay { session, repeat } => {
+                play(session, *repeat, &DeviceParams::default()).map(drop)
+            }
             CameraSource::Live { .. } => Ok(()),
         }
     }
@@ -115,10 +111,12 @@ impl CameraSource {
     /// The cameras that this daemon may scan with, those that answer.
     pub fn list(&self) -> Vec<DeviceName> {
         match self {
-            CameraSource::Replay { session, .. } => open_session(session, Pacing::Recorded)
-                .map(|opened| DeviceName::of(opened.camera.info()))
-                .into_iter()
-                .collect(),
+            CameraSource::Replay { session, repeat } => {
+                play(session, *repeat, &DeviceParams::default())
+                    .map(|camera| DeviceName::of(camera.info()))
+                    .into_iter()
+                    .collect()
+            }
             CameraSource::Live { serial } => {
                 let mut devices = usable();
                 if let Some(serial) = serial {
@@ -135,6 +133,26 @@ impl CameraSource {
             CameraSource::Replay { session, .. } => Some(session),
             CameraSource::Live { .. } => None,
         }
+    }
+}
+
+/// A recording at its own pace.
+fn play(
+    session: &Path,
+    repeat: bool,
+    params: &DeviceParams,
+) -> Result<Box<dyn DepthCamera>, CameraError> {
+    let pacing = Pacing::Recorded;
+    match (repeat, Recording::of_folder(session)) {
+        (false, _) => open_recording(session, params, pacing),
+        (true, Recording::Session) => {
+            let camera = ReplayCamera::open(session)?;
+            Ok(Box::new(camera.with_pacing(pacing).repeating()))
+        }
+        (true, _) => Err(CameraError::Invalid(format!(
+            "{}: a recording of raw data is played once, not over and over",
+            session.display()
+        ))),
     }
 }
 

@@ -21,5 +21,5 @@ pub use open::{LiveCamera, OpenError, connect, open};
 pub use params::{DeviceParams, Kinect1Params, Kinect2Params};
 pub use products::{Model, Part};
 pub use record::{RawRecording, RecordedCamera};
-pub use recording::{Recording, open_recording};
+pub use recording::{Recording, content_hash, open_recording};
 pub use usb::{Controller, UsbDevice};

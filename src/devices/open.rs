@@ -174,7 +174,14 @@ fn connect_to(
                 ..freenect2::LiveOptions::default()
             };
             let camera = Freenect2Camera::open(freenect2::Library::libfreenect2(), options);
-            Some(camera.map(|camera| LiveCamera::Kinect2(Box::new(camera))))
+            Some(camera.map(|camera| {
+                // Without udev, silence tells of unplugging.
+                let camera = match udev_monitor::UsbMonitor::open() {
+                    Ok(monitor) => camera.with_monitor(monitor),
+                    Err(_) => camera,
+                };
+                LiveCamera::Kinect2(Box::new(camera))
+            }))
         }
         #[allow(unreachable_patterns, reason = "reached without a driver's feature")]
         _ => {

@@ -32,6 +32,18 @@ impl Recording {
     }
 }
 
+/// The hash of what a recording of any kind holds, `sha256:` and 64 digits: the same wherever it lies.
+///
+/// # Errors
+/// [`CameraError`] for a file that cannot be read.
+pub fn content_hash(folder: &Path) -> Result<String, CameraError> {
+    match Recording::of_folder(folder) {
+        Recording::Session => mcap_session::content_hash(folder),
+        Recording::RawDisparity => freenect1::content_hash(folder),
+        Recording::RawPackets => freenect2::content_hash(folder),
+    }
+}
+
 /// Opens a recording of any kind; raw ones are decoded as the live device's data would be.
 ///
 /// # Errors

@@ -57,9 +57,7 @@ pub use material::PhongParams;
 pub use picture::phong;
 pub use ply::write_ply;
 pub use ply_reader::read_ply;
-pub use png::{
-    decode_png_grey16, encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba,
-};
+pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba};
 pub use report::{
     AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA,
     RefinedMesh, RefinedView, Report, StageTiming, Tracking, write_report_json,

@@ -1,8 +1,8 @@
 //! PNG in memory, encoded for speed: pictures leave while the operator waits.
 
 use depth_camera::Image;
-use png::{BitDepth, ColorType, Compression, Decoder, Encoder};
-use std::io::{self, Cursor};
+use png::{BitDepth, ColorType, Compression, Encoder};
+use std::io;
 
 /// Encodes an sRGB picture.
 ///
@@ -47,31 +47,6 @@ pub fn encode_png_grey16(image: &Image<u16>) -> io::Result<Vec<u8>> {
     encode(image.width(), image.height(), format, &bytes)
 }
 
-/// Decodes a 16-bit grey image.
-///
-/// # Errors
-/// Says what is wrong: no PNG, another format, damaged.
-pub fn decode_png_grey16(file: &[u8]) -> Result<Image<u16>, String> {
-    let mut reader = Decoder::new(Cursor::new(file))
-        .read_info()
-        .map_err(|error| format!("not a PNG image: {error}"))?;
-    let header = reader.info();
-    let (width, height) = (header.width as usize, header.height as usize);
-    if (header.color_type, header.bit_depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
-        return Err(format!(
-            "{}-bit {:?}, expected 16-bit Grayscale",
-            header.bit_depth as u8, header.color_type
-        ));
-    }
-    let mut bytes = vec![0; 2 * width * height];
-    reader
-        .next_frame(&mut bytes)
-        .map_err(|error| format!("damaged PNG image: {error}"))?;
-    let words = bytes.chunks_exact(2);
-    let counts = words.map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
-    Ok(Image::from_vec(width, height, counts.collect()))
-}
-
 fn encode(
     width: usize,
     height: usize,
@@ -91,6 +66,8 @@ fn encode(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use replay::decode_png;
+    use std::io::Cursor;
 
     fn decode(file: Vec<u8>) -> (ColorType, BitDepth, Vec<u8>) {
         let mut reader = png::Decoder::new(Cursor::new(file)).read_info().unwrap();
@@ -103,13 +80,13 @@ mod tests {
     fn pixels_survive_in_all_formats() {
         let grey16 = Image::from_vec(3, 2, vec![0u16, 1, 256, 4095, 65534, 65535]);
         let file = encode_png_grey16(&grey16).unwrap();
-        assert_eq!(decode_png_grey16(&file).unwrap(), grey16);
-        let refused = decode_png_grey16(&file[..file.len() / 2]).unwrap_err();
+        assert_eq!(decode_png(&file).unwrap(), grey16);
+        let refused = decode_png(&file[..file.len() / 2]).unwrap_err();
         assert!(refused.contains("PNG image"), "{refused}");
 
         let grey8 = Image::from_vec(2, 2, vec![0u8, 7, 128, 255]);
         let file = encode_png_grey8(&grey8).unwrap();
-        assert!(decode_png_grey16(&file).unwrap_err().starts_with("8-bit"));
+        assert!(decode_png(&file).unwrap_err().starts_with("8-bit"));
         assert_eq!(decode(file).2, grey8.data());
         let rgb = Image::from_vec(1, 2, vec![[1u8, 2, 3], [250, 251, 252]]);
         assert_eq!(

@@ -1,7 +1,7 @@
 //! Reads back the shading images that [`write_snapshots`](super::write_snapshots) wrote.
 
 use super::{
-    ExportError, decode_png_grey16, read_trajectory,
+    ExportError, read_trajectory,
     snapshots::{DEPTH_UNITS_PER_METRE, FILES, folder_name},
 };
 use crate::geometry::Pose;
@@ -67,7 +67,7 @@ fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
 
 fn read_png(path: &Path) -> Result<Image<u16>, ExportError> {
     let bytes = fs::read(path).map_err(|cause| ExportError::read(path, cause))?;
-    decode_png_grey16(&bytes).map_err(|reason| ExportError::malformed(path, reason))
+    replay::decode_png(&bytes).map_err(|reason| ExportError::malformed(path, reason))
 }
 
 #[cfg(test)]

@@ -5,10 +5,10 @@ use super::{
     status::{StatusSlot, StopToken},
 };
 use crate::capture::{
-    CaptureParams, CaptureSummary, Delivery, DeviceHealth, Event, EventKind, IrOffset, Tracked,
-    run_device,
+    CaptureParams, CaptureSummary, Delivery, DeviceHealth, Event, EventKind, IrOffset,
+    SharedFrames, Tracked, run_device,
 };
-use depth_camera::DepthCamera;
+use depth_camera::{DepthCamera, Frame};
 
 /// What the device thread needs to know.
 pub struct DeviceSetup {
@@ -35,6 +35,18 @@ pub fn run(
 ) -> CaptureSummary {
     let end = setup.end.flag();
     let mut last_frame_id = 0;
+    let mut shared = SharedFrames::default();
+    let (record, ir_offset) = (setup.record, setup.ir_offset);
+    let mut pass_on = |frame: Frame| {
+        if !record {
+            return frames.send(shared.share(ir_offset.remove_from(frame)));
+        }
+        // Recorded as the camera delivers it: what fusion gets is the same frame, or a copy with its IR moved.
+        let moved = (!ir_offset.is_zero()).then(|| ir_offset.remove_from(shared.copy_of(&frame)));
+        let recorded = shared.share(frame);
+        recording.send(recorded.clone());
+        frames.send(moved.map_or(recorded, |moved| shared.share(moved)))
+    };
     run_device(
         setup.camera.as_mut(),
         &setup.capture,
@@ -61,11 +73,127 @@ pub fn run(
             }
             Delivery::Frame(frame) => {
                 last_frame_id = frame.frame_id;
-                if setup.record {
-                    recording.send(frame.clone());
-                }
-                frames.send(setup.ir_offset.remove_from(frame))
+                pass_on(frame)
             }
         },
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{
+        edges::{self, DropCounts, FrameReceiver, WhenFull},
+        event_log::EventLog,
+    };
+    use counting_allocator::{CountingAllocator, n_of_thread};
+    use crossbeam::channel::Receiver;
+    use depth_camera::{CameraError, CameraInfo, ImagePool};
+    use simulated::SimulatedCamera;
+    use std::{
+        sync::{Arc, Mutex},
+        time::{Duration, Instant},
+    };
+
+    #[global_allocator]
+    static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+    const WIDTH: usize = 64;
+    const HEIGHT: usize = 48;
+    const N_FRAMES: usize = 60;
+
+    /// A camera as the drivers are, which asks for no memory. Before it delivers a frame it takes an older one out of the edges,
+    /// as fusion and recorder would.
+    struct Pooled {
+        info: CameraInfo,
+        depth: ImagePool<f32>,
+        ir: ImagePool<u16>,
+        fusion: FrameReceiver,
+        recorder: Receiver<Arc<Frame>>,
+        /// The thread's requests for memory so far, at each frame.
+        n_allocations: Arc<Mutex<Vec<u64>>>,
+    }
+
+    impl Pooled {
+        fn take_frames_out(&self) {
+            if self.fusion.channel().len() < 3 {
+                return;
+            }
+            let fused = self.fusion.channel().try_recv().unwrap();
+            let corners = |frame: &Frame| {
+                let ir = frame.ir.as_ref().unwrap();
+                [*ir.at(0, 0), *ir.at(WIDTH - 1, HEIGHT - 1)]
+            };
+            let shown = fused.frame_id as u16;
+            assert_eq!(corners(&fused), [shown, 0], "moved up and to the left");
+            if let Ok(recorded) = self.recorder.try_recv() {
+                assert_eq!(recorded.frame_id, fused.frame_id);
+                assert_eq!(corners(&recorded), [shown, shown], "as it was delivered");
+            }
+        }
+    }
+
+    impl DepthCamera for Pooled {
+        fn info(&self) -> &CameraInfo {
+            &self.info
+        }
+
+        fn grab(&mut self, _timeout: Duration) -> Result<Option<Frame>, CameraError> {
+            self.take_frames_out();
+            let mut n_allocations = self.n_allocations.lock().unwrap();
+            if n_allocations.len() == N_FRAMES {
+                return Ok(None);
+            }
+            n_allocations.push(n_of_thread());
+            let frame_id = n_allocations.len() as u64;
+            let mut ir = self.ir.take(WIDTH * HEIGHT);
+            ir.fill(frame_id as u16);
+            let depth = self.depth.take(WIDTH * HEIGHT);
+            Ok(Some(Frame {
+                frame_id,
+                device_time_secs: frame_id as f64,
+                host_time: Instant::now(),
+                depth: Some(self.depth.image(WIDTH, HEIGHT, depth)),
+                ir: Some(self.ir.image(WIDTH, HEIGHT, ir)),
+            }))
+        }
+    }
+
+    /// Requests for memory in the first and in the second half of the frames.
+    fn n_allocations(record: bool) -> (u64, u64) {
+        let status = StatusSlot::default();
+        let (frames, fusion) = edges::frames(WhenFull::Block, &status);
+        let (recording, recorder) =
+            edges::recording(WhenFull::Block, &Arc::new(DropCounts::default()));
+        let (events, _events) = edges::tracked(&EventLog::default());
+        let n_allocations = Arc::new(Mutex::new(Vec::with_capacity(N_FRAMES)));
+        let setup = DeviceSetup {
+            camera: Box::new(Pooled {
+                info: SimulatedCamera::kinect1_plaque(1, 0).info().clone(),
+                depth: ImagePool::new(16),
+                ir: ImagePool::new(16),
+                fusion,
+                recorder,
+                n_allocations: n_allocations.clone(),
+            }),
+            capture: CaptureParams::default(),
+            record,
+            ir_offset: IrOffset::nearest([5.0, 4.0]),
+            end: StopToken::default(),
+            status,
+        };
+        run(setup, &frames, &recording, &events);
+        let counts = n_allocations.lock().unwrap();
+        let middle = counts[N_FRAMES / 2];
+        (middle - counts[0], counts[N_FRAMES - 1] - middle)
+    }
+
+    #[test]
+    fn frames_go_on_without_asking_for_memory_once_they_flow() {
+        for record in [false, true] {
+            let (warming_up, steady) = n_allocations(record);
+            assert!(warming_up > 0, "the counter counts");
+            assert_eq!(steady, 0, "recording: {record}");
+        }
+    }
 }

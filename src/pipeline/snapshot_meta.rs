@@ -22,28 +22,12 @@ pub struct SnapshotMeta {
     #[serde(default)]
     ir_gain: Option<u16>,
     light_position_camera_m: Option<[f64; 3]>,
-    intrinsics: StoredIntrinsics,
-}
-
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-struct StoredIntrinsics {
-    width: usize,
-    height: usize,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    k1: f64,
-    k2: f64,
-    p1: f64,
-    p2: f64,
-    k3: f64,
+    intrinsics: Intrinsics,
 }
 
 impl SnapshotMeta {
     /// What is to be said of a snapshot and its camera.
     pub fn new(snapshot: &ShadingSnapshot, info: &CameraInfo) -> Self {
-        let i = &info.intrinsics;
         SnapshotMeta {
             frame_id: snapshot.frame_id,
             device_time_secs: snapshot.device_time_secs,
@@ -54,19 +38,7 @@ impl SnapshotMeta {
             ir_full_scale: info.ir_full_scale,
             ir_gain: info.ir_gain,
             light_position_camera_m: info.light.map(|light| light.position_m),
-            intrinsics: StoredIntrinsics {
-                width: i.width,
-                height: i.height,
-                fx: i.fx,
-                fy: i.fy,
-                cx: i.cx,
-                cy: i.cy,
-                k1: i.k1,
-                k2: i.k2,
-                p1: i.p1,
-                p2: i.p2,
-                k3: i.k3,
-            },
+            intrinsics: info.intrinsics,
         }
     }
 
@@ -94,19 +66,7 @@ impl SnapshotMeta {
             sensor,
             serial: self.serial.clone(),
             driver: self.driver.clone(),
-            intrinsics: Intrinsics {
-                width: i.width,
-                height: i.height,
-                fx: i.fx,
-                fy: i.fy,
-                cx: i.cx,
-                cy: i.cy,
-                k1: i.k1,
-                k2: i.k2,
-                p1: i.p1,
-                p2: i.p2,
-                k3: i.k3,
-            },
+            intrinsics: self.intrinsics,
             ir_full_scale: self.ir_full_scale,
             ir_gain: self.ir_gain,
             light: self.light_position_camera_m.map(light),

@@ -1,6 +1,9 @@
 //! Measuring a device by the program, and what later runs make of it.
 
-use crate::support::{PROGRAM, Workbench, assert_says, record};
+use crate::{
+    raw_kinect1::offset_kinect1,
+    support::{PROGRAM, Workbench, assert_says, record},
+};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{Isometry3, Point3, Vector3, center};
 use relief::config::{CalibrationKey, DeviceCalibration};
@@ -11,26 +14,6 @@ use std::{
     process::{Command, Output},
     time::Duration,
 };
-
-/// A raw Kinect I, led round the plaque with three shading poses.
-fn raw_kinect1() -> SimulatedCamera {
-    let scene = Scene::plaque();
-    let (low, high) = scene.object_bounds();
-    SimulatedCamera::new(Setup {
-        trajectory: Trajectory::hand_held(center(&low, &high), 24),
-        scene,
-        sensor: Sensor::Kinect1,
-        infrared: Infrared {
-            offset_px: [5.0, 4.0],
-            ..Infrared::of_sensor(Sensor::Kinect1)
-        },
-        n_moving_frames: 4,
-        shading_frames: vec![0, 1, 2],
-        reduction: 1,
-        seed: 7,
-    })
-    .unwrap()
-}
 
 fn measure(session: &Path, folder: &Path, arguments: &[&str]) -> Output {
     Command::new(PROGRAM)
@@ -47,7 +30,7 @@ fn measure(session: &Path, folder: &Path, arguments: &[&str]) -> Output {
 fn the_offset_of_a_raw_kinect1_is_measured_into_its_file_and_used() {
     let root = tempfile::tempdir().unwrap();
     let (session, folder) = (root.path().join("raw"), root.path().join("calibration"));
-    record(raw_kinect1(), &session);
+    record(offset_kinect1(), &session);
     let file = folder.join("simulated-7.toml");
 
     assert_says(&measure(&session, &folder, &["--dry-run"]), 0, &[]);

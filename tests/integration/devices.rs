@@ -9,9 +9,10 @@ use relief::devices::{
 use serde_json::Value;
 use std::{
     fs,
+    io::{BufRead, BufReader},
     os::unix::fs::symlink,
     path::Path,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
 };
 
 const INTEL: u16 = 0x8086;
@@ -505,6 +506,49 @@ fn a_device_that_may_not_be_opened_is_an_error() {
             .unwrap()
             .contains("usermod -aG relief")
     );
+}
+
+/// A device that comes, is used, and goes, as whoever watches is told.
+#[test]
+fn devices_that_come_and_go_are_told_of() {
+    let tree = Tree::healthy();
+    tree.plug(CAMERA_1414);
+    let root = tree.root.path().to_str().unwrap();
+    let mut watching = Command::new(PROGRAM)
+        .args(["devices", "--watch", "--json", "--root", root])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let told = BufReader::new(watching.stdout.take().unwrap());
+    let mut told = told.lines().map(|line| -> (String, String) {
+        let change: Value = serde_json::from_str(&line.unwrap()).unwrap();
+        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        (text(&change["event"]), text(&change["device"]["serial"]))
+    });
+    // A device whose files are being written may be told of more than once.
+    let mut expect = |event: &str, serial: Option<&str>| {
+        let change = (event.to_owned(), serial.unwrap().to_owned());
+        assert!(told.any(|other| other == change), "{change:?}");
+    };
+    expect("added", CAMERA_1414.serial);
+    tree.plug(SENSOR_2);
+    expect("added", SENSOR_2.serial);
+    tree.hold("1-1.1", "usbfs");
+    if cfg!(feature = "kinect1") {
+        expect("changed", CAMERA_1414.serial);
+    }
+    fs::remove_dir_all(tree.path("sys/bus/usb/devices/1-1.1")).unwrap();
+    expect("removed", CAMERA_1414.serial);
+    let id = watching.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &id])
+            .status()
+            .unwrap()
+            .success()
+    );
+    assert!(watching.wait().unwrap().success());
+    assert_eq!(told.next(), None);
 }
 
 /// The real program on devices that umockdev puts into the real `/sys`.

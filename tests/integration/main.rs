@@ -13,7 +13,9 @@ mod devices;
 mod live;
 #[cfg(feature = "kinect1")]
 mod live_devices;
+mod raw_kinect1;
 mod raw_packets;
+mod raw_recordings;
 mod service;
 mod sessions;
 mod signals;

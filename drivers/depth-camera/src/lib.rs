@@ -45,7 +45,11 @@ impl Sensor {
 /// With normalised coordinates (x, y) = (X/Z, Y/Z) and r² = x² + y²:
 /// x' = x(1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2x²),
 /// y' = y(1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2y²) + 2 p2 x y, u = fx x' + cx, v = fy y' + cy.
+///
+/// With the feature `serde` it is read and written by these names; none has a default: a forgotten distortion would be a wrong
+/// camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, serde::Serialize))]
 pub struct Intrinsics {
     /// Image width, pixels.
     pub width: usize,

@@ -6,6 +6,7 @@
 use std::{
     cell::RefCell,
     ffi::{c_int, c_void},
+    ops::Range,
     ptr::{self, NonNull},
     time::Instant,
 };
@@ -60,32 +61,28 @@ unsafe extern "C" fn depth_filled(
     ticks: u32,
 ) {
     let host = Instant::now();
-    // SAFETY: the library calls with an open device, whose user pointer `connect` set.
-    let sink = unsafe { sink(sys::freenect_get_user(device)) };
-    let Some((sink, mut assembler)) =
-        sink.and_then(|s| Some((s, s.assembler.try_borrow_mut().ok()?)))
-    else {
-        return;
+    let next = |assembler: &mut Assembler, emit: &dyn Fn(Captured)| {
+        assembler.depth_filled(ticks, host, emit);
+        assembler.depth_buffer().as_mut_ptr()
     };
-    assembler.depth_filled(ticks, host, sink.emit);
-    let next = assembler.depth_buffer().as_mut_ptr();
-    // SAFETY: the buffer is of the size of the mode and stays until this function names another.
-    unsafe { sys::freenect_set_depth_buffer(device, next.cast()) };
+    // SAFETY: the library calls with an open device, whose user pointer `connect` set.
+    if let Some(next) = unsafe { with_assembler(sys::freenect_get_user(device), next) } {
+        // SAFETY: the buffer is of the size of the mode and stays until this function names another.
+        unsafe { sys::freenect_set_depth_buffer(device, next.cast()) };
+    }
 }
 
 unsafe extern "C" fn ir_filled(device: *mut sys::freenect_device, _image: *mut c_void, ticks: u32) {
     let host = Instant::now();
-    // SAFETY: the library calls with an open device, whose user pointer `connect` set.
-    let sink = unsafe { sink(sys::freenect_get_user(device)) };
-    let Some((sink, mut assembler)) =
-        sink.and_then(|s| Some((s, s.assembler.try_borrow_mut().ok()?)))
-    else {
-        return;
+    let next = |assembler: &mut Assembler, emit: &dyn Fn(Captured)| {
+        assembler.ir_filled(ticks, host, emit);
+        assembler.ir_buffer().as_mut_ptr()
     };
-    assembler.ir_filled(ticks, host, sink.emit);
-    let next = assembler.ir_buffer().as_mut_ptr();
-    // SAFETY: the buffer is of the size of the mode and stays until this function names another.
-    unsafe { sys::freenect_set_video_buffer(device, next.cast()) };
+    // SAFETY: the library calls with an open device, whose user pointer `connect` set.
+    if let Some(next) = unsafe { with_assembler(sys::freenect_get_user(device), next) } {
+        // SAFETY: the buffer is of the size of the mode and stays until this function names another.
+        unsafe { sys::freenect_set_video_buffer(device, next.cast()) };
+    }
 }
 
 unsafe extern "C" fn depth_packet(
@@ -95,19 +92,11 @@ unsafe extern "C" fn depth_packet(
     bytes: c_int,
     user: *mut c_void,
 ) {
-    // SAFETY: the library hands back the user pointer that `connect` set.
-    let Some(sink) = (unsafe { sink(user) }) else {
-        return;
+    let place = |assembler: &mut Assembler, number, bytes, emit: &dyn Fn(Captured)| {
+        assembler.depth_packet(number, bytes, emit)
     };
-    let (Ok(number), Ok(bytes)) = (usize::try_from(number), usize::try_from(bytes)) else {
-        return;
-    };
-    let place = sink.assembler.try_borrow_mut().ok();
-    let place = place.and_then(|mut a| a.depth_packet(number, bytes, sink.emit));
-    if let Some(place) = place {
-        // SAFETY: the library's frame holds what the packed mode has, of which `place` is a part; the packet has `bytes`.
-        unsafe { copy_packet(frame, packet, place) };
-    }
+    // SAFETY: the library's frame holds what the packed mode has, the packet `bytes`, and the user pointer is `connect`'s.
+    unsafe { take_packet((frame, packet), (number, bytes), user, place) };
 }
 
 unsafe extern "C" fn ir_packet(
@@ -117,17 +106,44 @@ unsafe extern "C" fn ir_packet(
     bytes: c_int,
     user: *mut c_void,
 ) {
-    // SAFETY: the library hands back the user pointer that `connect` set.
-    let Some(sink) = (unsafe { sink(user) }) else {
-        return;
+    let place = |assembler: &mut Assembler, number, bytes, _: &dyn Fn(Captured)| {
+        assembler.ir_packet(number, bytes)
     };
+    // SAFETY: as in `depth_packet`.
+    unsafe { take_packet((frame, packet), (number, bytes), user, place) };
+}
+
+/// What `work` makes of the assembler that `user` leads to; `None` if there is none, or it is borrowed.
+///
+/// # Safety
+/// As of [`sink`].
+unsafe fn with_assembler<T>(
+    user: *mut c_void,
+    work: impl FnOnce(&mut Assembler, &dyn Fn(Captured)) -> T,
+) -> Option<T> {
+    // SAFETY: as asked of the caller.
+    let sink = unsafe { sink(user) }?;
+    let mut assembler = sink.assembler.try_borrow_mut().ok()?;
+    Some(work(&mut assembler, sink.emit))
+}
+
+/// Puts a packet of so many bytes where `place` says that it belongs, which also counts it.
+///
+/// # Safety
+/// The frame must hold every place of the stream's layout and the packet its bytes; `user` as of [`sink`].
+unsafe fn take_packet(
+    (frame, packet): (*mut c_void, *const c_void),
+    (number, bytes): (c_int, c_int),
+    user: *mut c_void,
+    place: impl FnOnce(&mut Assembler, usize, usize, &dyn Fn(Captured)) -> Option<Range<usize>>,
+) {
     let (Ok(number), Ok(bytes)) = (usize::try_from(number), usize::try_from(bytes)) else {
         return;
     };
-    let place = sink.assembler.try_borrow_mut().ok();
-    let place = place.and_then(|mut a| a.ir_packet(number, bytes));
-    if let Some(place) = place {
-        // SAFETY: as in `depth_packet`.
+    // SAFETY: as asked of the caller.
+    let place = unsafe { with_assembler(user, |a, emit| place(a, number, bytes, emit)) };
+    if let Some(place) = place.flatten() {
+        // SAFETY: `place` is a part of the frame and as long as the packet.
         unsafe { copy_packet(frame, packet, place) };
     }
 }
@@ -136,7 +152,7 @@ unsafe extern "C" fn ir_packet(
 ///
 /// # Safety
 /// `frame` must hold `place`, and `packet` as many bytes as that is long; they must not overlap.
-unsafe fn copy_packet(frame: *mut c_void, packet: *const c_void, place: std::ops::Range<usize>) {
+unsafe fn copy_packet(frame: *mut c_void, packet: *const c_void, place: Range<usize>) {
     // SAFETY: as asked of the caller.
     unsafe {
         ptr::copy_nonoverlapping(

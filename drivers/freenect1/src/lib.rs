@@ -38,5 +38,5 @@ pub use camera::{Freenect1Camera, attached};
 #[cfg(feature = "kinect1")]
 pub use control::Control;
 pub use frames::{DeviceRecord, NOMINAL_IR_OFFSET_PX};
-pub use recording::{RAW_DEVICE_FILE, RawDisparityCamera, RawDisparityWriter};
+pub use recording::{RAW_DEVICE_FILE, RawDisparityCamera, RawDisparityWriter, content_hash};
 pub use settings::Settings;

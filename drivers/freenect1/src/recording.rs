@@ -28,6 +28,14 @@ pub const RAW_DEVICE_FILE: &str = "kinect1.toml";
 const DISPARITY_LIST: &str = "disparity.txt";
 const IR_LIST: &str = "ir.txt";
 
+/// The hash of what a recording holds, as [`replay::content_hash`] is that of a session.
+///
+/// # Errors
+/// [`CameraError::Invalid`] for a description or list that cannot be read.
+pub fn content_hash(folder: &Path) -> Result<String, CameraError> {
+    replay::hash_of_files(folder, &[RAW_DEVICE_FILE], &[DISPARITY_LIST, IR_LIST])
+}
+
 /// The contents of `kinect1.toml`.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -265,11 +265,20 @@ impl Decoded {
         &self.ambient
     }
 
-    /// Takes depth and IR out, leaving empty images to be decoded into.
-    pub(crate) fn take_depth_and_ir(&mut self) -> (Image<f32>, Image<u16>) {
+    /// Takes depth and IR out and puts others in their place, to be decoded into whatever they hold.
+    ///
+    /// # Panics
+    /// If these are not of the sensor's size.
+    pub(crate) fn exchange(
+        &mut self,
+        depth: Image<f32>,
+        ir: Image<u16>,
+    ) -> (Image<f32>, Image<u16>) {
+        let is_whole = |pixels: usize| pixels == WIDTH * HEIGHT;
+        assert!(is_whole(depth.data().len()) && is_whole(ir.data().len()));
         (
-            std::mem::replace(&mut self.depth, Image::filled(WIDTH, HEIGHT, 0.0)),
-            std::mem::replace(&mut self.ir, Image::filled(WIDTH, HEIGHT, 0)),
+            std::mem::replace(&mut self.depth, depth),
+            std::mem::replace(&mut self.ir, ir),
         )
     }
 }

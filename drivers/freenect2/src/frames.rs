@@ -2,9 +2,10 @@
 
 use std::time::Instant;
 
-use depth_camera::{CameraInfo, Frame, Light, Sensor};
+use depth_camera::{CameraInfo, Frame, ImagePool, Light, Sensor};
 
 use crate::{
+    HEIGHT, WIDTH,
     decoder::{Decoded, Decoder, DecoderError},
     ir_parameters::IrParameters,
     options::DecoderOptions,
@@ -15,6 +16,9 @@ use crate::{
 /// Threads that decode: one keeps up with the sensor, two leave it time for fusion.
 const N_THREADS: usize = 2;
 
+/// Images on their way through the pipeline whose buffers are used again.
+const POOL_CAPACITY: usize = 16;
+
 /// The sensor's own processing, as a part of a camera: decoder, memory and threads.
 ///
 /// Frames are never mirrored, whatever the options say: a [`Frame`]'s columns go to the camera's right.
@@ -22,7 +26,9 @@ const N_THREADS: usize = 2;
 pub(crate) struct FrameDecoder {
     decoder: Decoder,
     decoded: Decoded,
-    pool: rayon::ThreadPool,
+    threads: rayon::ThreadPool,
+    depth: ImagePool<f32>,
+    ir: ImagePool<u16>,
 }
 
 /// Why frames cannot be decoded.
@@ -44,19 +50,21 @@ impl FrameDecoder {
             unmirrored: true,
             ..options
         };
-        let pool = rayon::ThreadPoolBuilder::new()
+        let threads = rayon::ThreadPoolBuilder::new()
             .num_threads(N_THREADS)
             .thread_name(|index| format!("k2-decode-{index}"))
             .build()?;
-        let decoder = pool.install(|| Decoder::new(tables, camera, options))?;
+        let decoder = threads.install(|| Decoder::new(tables, camera, options))?;
         Ok(FrameDecoder {
             decoder,
             decoded: Decoded::default(),
-            pool,
+            threads,
+            depth: ImagePool::new(POOL_CAPACITY),
+            ir: ImagePool::new(POOL_CAPACITY),
         })
     }
 
-    /// The frame that a packet holds; its images are the only memory that is asked for.
+    /// The frame that a packet holds; the buffers of its images come back when it is dropped.
     pub(crate) fn frame(
         &mut self,
         packet: RawPacket<'_>,
@@ -65,8 +73,11 @@ impl FrameDecoder {
         host_time: Instant,
     ) -> Frame {
         let (decoder, decoded) = (&self.decoder, &mut self.decoded);
-        self.pool.install(|| decoder.decode(packet, decoded));
-        let (depth, ir) = decoded.take_depth_and_ir();
+        self.threads.install(|| decoder.decode(packet, decoded));
+        let n_pixels = WIDTH * HEIGHT;
+        let next_depth = self.depth.image(WIDTH, HEIGHT, self.depth.take(n_pixels));
+        let next_ir = self.ir.image(WIDTH, HEIGHT, self.ir.take(n_pixels));
+        let (depth, ir) = decoded.exchange(next_depth, next_ir);
         Frame {
             frame_id,
             device_time_secs,

@@ -35,7 +35,9 @@ pub use p0_tables::{P0_RESPONSE_BYTES, P0LengthError, P0Tables};
 pub use packet::{
     N_SUB_IMAGES, PACKET_BYTES, PacketLengthError, ROW_BYTES, RawPacket, SUB_IMAGE_BYTES,
 };
-pub use recording::{DeviceRecord, RAW_DEVICE_FILE, RawPacketCamera, RawPacketWriter};
+pub use recording::{
+    DeviceRecord, RAW_DEVICE_FILE, RawPacketCamera, RawPacketWriter, content_hash,
+};
 
 /// Columns of every image.
 pub const WIDTH: usize = 512;

@@ -30,6 +30,14 @@ const TABLES_FILE: &str = "p0.bin";
 const LIST_FILE: &str = "packets.txt";
 const PACKET_FOLDER: &str = "packets";
 
+/// The hash of what a recording holds, as [`replay::content_hash`] is that of a session.
+///
+/// # Errors
+/// [`CameraError::Invalid`] for a description or list that cannot be read.
+pub fn content_hash(folder: &Path) -> Result<String, CameraError> {
+    replay::hash_of_files(folder, &[RAW_DEVICE_FILE, TABLES_FILE], &[LIST_FILE])
+}
+
 /// What a device says of itself, all that decoding needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceRecord {

@@ -10,36 +10,11 @@ use freenect2::{
     RawPacketWriter,
 };
 use freenect2_stand_in::{Answers, Packet, Unit};
-use freenect2_synth::PhaseTables;
-use freenect2_sys::f2shim_ir_parameters;
-use support::{CAMERA, decode, decoder, encoder, plane_and_sphere};
+use support::{answers, decode, decoder, encoder, plane_and_sphere};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Ticks of 0.125 ms between frames.
 const FRAME_TICKS: u32 = 266;
-
-fn answers() -> Answers {
-    let [fx, fy] = CAMERA.focal.map(|x| x as f32);
-    let [cx, cy] = CAMERA.centre.map(|x| x as f32);
-    let [k1, k2, k3] = CAMERA.radial.map(|x| x as f32);
-    let [p1, p2] = CAMERA.tangential.map(|x| x as f32);
-    Answers {
-        firmware: "4.3.3912.0".to_owned(),
-        p0_response: PhaseTables::varied().response(),
-        ir_parameters: f2shim_ir_parameters {
-            fx,
-            fy,
-            cx,
-            cy,
-            k1,
-            k2,
-            k3,
-            p1,
-            p2,
-        },
-        open_error: String::new(),
-    }
-}
 
 fn options(serial: &str) -> LiveOptions {
     LiveOptions {

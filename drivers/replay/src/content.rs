@@ -16,6 +16,22 @@ use crate::{
 /// # Errors
 /// [`CameraError::Invalid`] for a description or list that cannot be read.
 pub fn content_hash(folder: &Path) -> Result<String, CameraError> {
+    let lists: &[&str] = match folder.join("ir.txt").exists() {
+        true => &["depth.txt", "ir.txt"],
+        false => &["depth.txt"],
+    };
+    hash_of_files(folder, &[session::FILE_NAME], lists)
+}
+
+/// As [`content_hash`], of a recording with other descriptions and lists.
+///
+/// # Errors
+/// As [`content_hash`].
+pub fn hash_of_files(
+    folder: &Path,
+    descriptions: &[&str],
+    lists: &[&str],
+) -> Result<String, CameraError> {
     let mut hash = Sha256::new();
     let mut add = |name: &str, bytes: &[u8]| {
         // Lengths keep the end of one file from being taken for the start of the next.
@@ -24,18 +40,13 @@ pub fn content_hash(folder: &Path) -> Result<String, CameraError> {
             hash.update(part);
         }
     };
-    for name in [session::FILE_NAME, "depth.txt", "ir.txt"] {
+    let read = |path: &Path| fs::read(path).map_err(|error| invalid(path, error));
+    for name in descriptions {
+        add(name, &read(&folder.join(name))?);
+    }
+    for name in lists {
         let path = folder.join(name);
-        if name == "ir.txt" && !path.exists() {
-            continue;
-        }
-        add(
-            name,
-            &fs::read(&path).map_err(|error| invalid(&path, error))?,
-        );
-        if name == session::FILE_NAME {
-            continue;
-        }
+        add(name, &read(&path)?);
         for entry in lists::read_list(&path)? {
             if let Ok(bytes) = fs::read(folder.join(&entry.file_name)) {
                 add(&entry.file_name, &bytes);

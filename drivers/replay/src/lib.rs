@@ -25,7 +25,7 @@ mod sixteen_bit_png;
 mod writer;
 
 pub use camera::ReplayCamera;
-pub use content::content_hash;
+pub use content::{content_hash, hash_of_files};
 pub use depth_scale::DepthScale;
 pub use files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file};
 pub use frame_check::check_frame;
@@ -33,5 +33,5 @@ pub use lists::{Entry, Moment, SAME_MOMENT_SECS, merge_lists, read_list};
 pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
 pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile};
-pub use sixteen_bit_png::{PngEffort, read as read_png};
+pub use sixteen_bit_png::{PngEffort, decode as decode_png, read as read_png};
 pub use writer::{SessionWriter, write_png};

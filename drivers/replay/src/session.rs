@@ -29,25 +29,9 @@ pub struct SessionFile {
     ir_full_scale: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     ir_gain: Option<u16>,
-    ir_camera: IrCamera,
+    ir_camera: Intrinsics,
     #[serde(skip_serializing_if = "Option::is_none")]
     light: Option<LightEntry>,
-}
-
-/// Brown–Conrady camera, pixels. No key has a default: a forgotten distortion would be a wrong camera.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct IrCamera {
-    width: usize,
-    height: usize,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    k1: f64,
-    k2: f64,
-    p1: f64,
-    p2: f64,
-    k3: f64,
 }
 
 /// The near light, in the IR camera frame.
@@ -97,7 +81,6 @@ impl SessionFile {
 
     /// The description of a camera about to be recorded.
     pub fn of_camera(name: &str, info: &CameraInfo, depth_units_per_metre: f64) -> Self {
-        let i = &info.intrinsics;
         SessionFile {
             name: name.to_owned(),
             sensor: info.sensor.name().to_owned(),
@@ -106,19 +89,7 @@ impl SessionFile {
             depth_units_per_metre,
             ir_full_scale: info.ir_full_scale,
             ir_gain: info.ir_gain,
-            ir_camera: IrCamera {
-                width: i.width,
-                height: i.height,
-                fx: i.fx,
-                fy: i.fy,
-                cx: i.cx,
-                cy: i.cy,
-                k1: i.k1,
-                k2: i.k2,
-                p1: i.p1,
-                p2: i.p2,
-                k3: i.k3,
-            },
+            ir_camera: info.intrinsics,
             light: info.light.map(|light| LightEntry {
                 position: light.position_m,
                 kind: light.kind.name().to_owned(),
@@ -142,7 +113,7 @@ impl SessionFile {
             sensor,
             serial: self.serial.clone().unwrap_or_else(|| self.name.clone()),
             driver: self.driver.clone(),
-            intrinsics: self.ir_camera.intrinsics(),
+            intrinsics: self.ir_camera,
             ir_full_scale: self.ir_full_scale.filter(|_| with_ir),
             ir_gain: self.ir_gain.filter(|_| with_ir),
             light: light.filter(|_| with_ir),
@@ -159,7 +130,7 @@ impl SessionFile {
             check_positive("ir_full_scale", full_scale)?;
             check_at_most("ir_full_scale", full_scale, f64::from(u16::MAX))?;
         }
-        self.ir_camera.check()?;
+        check_camera(&self.ir_camera)?;
         if with_ir && self.ir_full_scale.is_none() {
             return Err(
                 "ir_full_scale is missing, must be given where there is an ir.txt".to_owned(),
@@ -171,48 +142,6 @@ impl SessionFile {
             return Err("[light] is missing, must be given where there is an ir.txt".to_owned());
         }
         Ok(())
-    }
-}
-
-impl IrCamera {
-    fn check(&self) -> Result<(), String> {
-        for (key, side) in [("width", self.width), ("height", self.height)] {
-            if !(1..=MAX_SIDE_PX).contains(&side) {
-                return Err(format!(
-                    "ir_camera.{key} is {side}, must be from 1 to {MAX_SIDE_PX}"
-                ));
-            }
-        }
-        check_positive("ir_camera.fx", self.fx)?;
-        check_positive("ir_camera.fy", self.fy)?;
-        check_in_image("ir_camera.cx", self.cx, self.width)?;
-        check_in_image("ir_camera.cy", self.cy, self.height)?;
-        for (key, value) in [
-            ("ir_camera.k1", self.k1),
-            ("ir_camera.k2", self.k2),
-            ("ir_camera.p1", self.p1),
-            ("ir_camera.p2", self.p2),
-            ("ir_camera.k3", self.k3),
-        ] {
-            check_finite(key, value)?;
-        }
-        Ok(())
-    }
-
-    fn intrinsics(&self) -> Intrinsics {
-        Intrinsics {
-            width: self.width,
-            height: self.height,
-            fx: self.fx,
-            fy: self.fy,
-            cx: self.cx,
-            cy: self.cy,
-            k1: self.k1,
-            k2: self.k2,
-            p1: self.p1,
-            p2: self.p2,
-            k3: self.k3,
-        }
     }
 }
 
@@ -246,6 +175,30 @@ impl LightEntry {
 /// An error that begins with the file's name.
 pub(crate) fn invalid(path: &Path, what: impl std::fmt::Display) -> CameraError {
     CameraError::Invalid(format!("{}: {what}", path.display()))
+}
+
+fn check_camera(camera: &Intrinsics) -> Result<(), String> {
+    for (key, side) in [("width", camera.width), ("height", camera.height)] {
+        if !(1..=MAX_SIDE_PX).contains(&side) {
+            return Err(format!(
+                "ir_camera.{key} is {side}, must be from 1 to {MAX_SIDE_PX}"
+            ));
+        }
+    }
+    check_positive("ir_camera.fx", camera.fx)?;
+    check_positive("ir_camera.fy", camera.fy)?;
+    check_in_image("ir_camera.cx", camera.cx, camera.width)?;
+    check_in_image("ir_camera.cy", camera.cy, camera.height)?;
+    for (key, value) in [
+        ("ir_camera.k1", camera.k1),
+        ("ir_camera.k2", camera.k2),
+        ("ir_camera.p1", camera.p1),
+        ("ir_camera.p2", camera.p2),
+        ("ir_camera.k3", camera.k3),
+    ] {
+        check_finite(key, value)?;
+    }
+    Ok(())
 }
 
 fn sensor_named(name: &str) -> Result<Sensor, String> {

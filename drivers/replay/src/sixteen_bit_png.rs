@@ -15,16 +15,34 @@ use png::{BitDepth, ColorType, Compression, Decoder, Encoder, EncodingError, Fil
 /// Says what was found instead.
 pub fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16>, String> {
     let file = fs::read(path).map_err(|error| error.to_string())?;
+    decode_checked(&file, |size| match size == (width, height) {
+        true => Ok(()),
+        false => Err(format!(
+            "{}×{} pixels, expected {width}×{height}",
+            size.0, size.1
+        )),
+    })
+}
+
+/// Decodes a 16-bit greyscale PNG of any size.
+///
+/// # Errors
+/// Says what was found instead.
+pub fn decode(file: &[u8]) -> Result<Image<u16>, String> {
+    decode_checked(file, |_| Ok(()))
+}
+
+/// Decodes an image whose size (columns, rows) is `expected`, which is asked before memory is.
+fn decode_checked(
+    file: &[u8],
+    expected: impl FnOnce((usize, usize)) -> Result<(), String>,
+) -> Result<Image<u16>, String> {
     let mut reader = Decoder::new(Cursor::new(file))
         .read_info()
         .map_err(|error| format!("not a PNG image: {error}"))?;
     let header = reader.info();
-    if (header.width as usize, header.height as usize) != (width, height) {
-        return Err(format!(
-            "{}×{} pixels, expected {width}×{height}",
-            header.width, header.height
-        ));
-    }
+    let (width, height) = (header.width as usize, header.height as usize);
+    expected((width, height))?;
     if (header.color_type, header.bit_depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
         return Err(format!(
             "{}-bit {:?}, expected 16-bit Grayscale",

@@ -32,6 +32,9 @@ const DEPTH_MODE: u16 = 0x06;
 const DEPTH_IS_ON: u16 = 2;
 const IR_RESOLUTION: u16 = 0x1a;
 
+/// What depth is where no pattern is seen.
+const NO_DISPARITY: u16 = 2047;
+
 /// Depth is stamped a little later than IR of the same exposure; arbitrary, but not 0.
 const DEPTH_LAG_TICKS: u32 = 12_345;
 
@@ -246,7 +249,9 @@ impl Kinect {
                 let loss = (self.device.lose_depth_every, self.device.lose_run);
                 let values = self.folder.values("depth11.u16");
                 let play = self.play(&mut state, start);
-                state.depth = Some(Stream::start(Format::DEPTH, values, play, loss));
+                let nothing = vec![NO_DISPARITY; Format::DEPTH.n_values];
+                let stream = Stream::start(Format::DEPTH, values, play, loss);
+                state.depth = Some(stream.with_others(nothing));
             }
             (DEPTH_MODE, _) => state.depth = None,
             (VIDEO_MODE, VIDEO_IS_IR) => {
@@ -311,6 +316,7 @@ impl Kinect {
     /// Hands every packet that has come since the last call to `deliver`, which says whether a transfer waited for it.
     pub(crate) fn advance(&self, mut deliver: impl FnMut(u8, Packet<'_>) -> bool) {
         let silent = [self.has("silent-depth"), self.has("silent-ir")];
+        let is_covered = self.has("covered");
         let mut guard = self.state();
         if !self.is_withheld(&guard) {
             guard.free_time += Duration::from_micros(self.device.free_step_us);
@@ -322,6 +328,7 @@ impl Kinect {
             let ticks = first_ticks
                 .wrapping_add(depth.ticks())
                 .wrapping_add(DEPTH_LAG_TICKS);
+            depth.play_others(is_covered);
             if silent[0] {
                 depth.pass();
             } else if !deliver(DEPTH, &mut |slot| depth.packet(ticks, slot)) {
@@ -335,7 +342,7 @@ impl Kinect {
                 state.ir_ticks = first_ticks.wrapping_add(ir.ticks());
             }
             let ticks = state.ir_ticks;
-            ir.play_others(state.depth.is_none());
+            ir.play_others(is_covered || state.depth.is_none());
             if silent[1] {
                 ir.pass();
             } else if !deliver(VIDEO, &mut |slot| ir.packet(ticks, slot)) {

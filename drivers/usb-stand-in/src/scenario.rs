@@ -13,18 +13,18 @@
 //! | `lose_depth_every`, `lose_ir_every` | of so many packets the first ones are lost; 0 loses none | 0 |
 //! | `lose_run` | how many | 1 |
 //! | `free_step_us` | time that passes at each look where `frame_rate_hz` is 0: less is slower | 500 |
-//! | `play_once` | `true`: frames are played once, from the first one on, and stamps count from there | `false` |
+//! | `play_once` | `true`: frames are played once, from the first one on, and stamps count from there; then packets are empty | `false` |
 //! | `freeze_ir_clock` | `true`: stamps of IR stand still while depth is off | `false` |
 //!
 //! `depth11.u16` and `ir10.u16` hold frames of 640×480 and 640×488 values, little-endian, played over and over; frame n of one
 //! goes with frame n of the other. At 1280×1024 IR is `ir10-high.u16`. Where there is an `ir10-alone.u16`, its frames come in place
-//! of the others while depth is off: the projector is dark then.
+//! of the others while depth is off, and while the file `covered` is there: the projector is dark then, or hidden.
 //!
 //! A program that has claimed the camera holds a lock on the file `claimed`: another one finds it busy.
 //!
 //! Files whose presence is looked at while the device is in use: `unplugged`, `denied` (opening is not permitted), `busy` (the
 //! interface is claimed by another), `no-memory` (transfers cannot be submitted), `wedged` (control transfers do not
-//! return), `silent-depth`, `silent-ir`. `frame-limit` holds a number: where `frame_rate_hz` is 0, time stands still before the depth
+//! return), `silent-depth`, `silent-ir`, `covered` (depth goes on and finds nothing). `frame-limit` holds a number: where `frame_rate_hz` is 0, time stands still before the depth
 //! frame of that number.
 
 use std::{

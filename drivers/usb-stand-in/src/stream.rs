@@ -56,7 +56,7 @@ pub(crate) struct Play {
     pub(crate) first_frame: u64,
     /// The one from which pictures and stamps are counted.
     pub(crate) origin: u64,
-    /// Whether the stream falls silent after the last picture.
+    /// Whether nothing but empty packets follows the last picture.
     pub(crate) ends: bool,
 }
 
@@ -112,7 +112,7 @@ impl Stream {
         Stream { others, ..self }
     }
 
-    /// Whether the other frames are played from the next one on.
+    /// Whether the other frames are played from the next one on, if there are any.
     pub(crate) fn play_others(&mut self, plays_others: bool) {
         self.plays_others = plays_others && self.others.len() >= self.format.n_values;
     }
@@ -132,9 +132,6 @@ impl Stream {
 
     /// When the next packet comes: the packets of a frame are spread over its time.
     pub(crate) fn due(&self) -> Duration {
-        if self.play.ends && self.picture() >= self.n_pictures() {
-            return Duration::MAX;
-        }
         let per_frame = self.format.n_packets();
         let of_frame = (self.n_packets % per_frame + 1) as f64 / per_frame as f64;
         Duration::from_secs_f64((self.frame() as f64 + of_frame) * self.play.frame_secs)
@@ -145,8 +142,17 @@ impl Stream {
         (self.picture() * self.format.slower * TICKS_PER_FRAME) as u32
     }
 
-    /// The next packet comes and is written to `slot`; returns its length, 0 if it is lost on the way.
+    /// Whether the last picture has been played: the bus goes on, and the device has nothing to send.
+    pub(crate) fn is_over(&self) -> bool {
+        self.play.ends && self.picture() >= self.n_pictures()
+    }
+
+    /// The next packet comes and is written to `slot`; returns its length, 0 if it is lost on the way or there is nothing to send.
     pub(crate) fn packet(&mut self, ticks: u32, slot: &mut [u8]) -> usize {
+        if self.is_over() {
+            self.pass();
+            return 0;
+        }
         let number = self.n_packets % self.format.n_packets();
         let is_lost = self.lose_every > 0 && self.n_packets % self.lose_every < self.lose_run;
         let sequence = self.sequence;
@@ -236,9 +242,11 @@ mod tests {
         let values = vec![3; 2 * Format::DEPTH.n_values];
         let mut stream = Stream::start(Format::DEPTH, values, play, (0, 1));
         assert_eq!(stream.ticks(), 0);
-        (0..2 * 242).for_each(|_| {
-            assert!(stream.due() < Duration::from_secs(1) && stream.packet(0, &mut slot) > 0)
-        });
-        assert_eq!(stream.due(), Duration::MAX);
+        assert!((0..2 * 242).all(|_| stream.packet(0, &mut slot) > 0));
+        assert!(stream.is_over());
+        // The transfers of a bus are filled in time, whether or not there is anything to send.
+        let due = stream.due();
+        assert!((0..16).all(|_| stream.packet(0, &mut slot) == 0));
+        assert!(stream.due() > due);
     }
 }

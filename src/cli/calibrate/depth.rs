@@ -1,21 +1,19 @@
 //! `relief calibrate depth`: how bright white is, which tells how strong multipath is.
 
-use super::{DepthArgs, next_frame};
-use crate::cli::run::{Verdict, all_processors, calibration_folder, session_name};
+use super::{DepthArgs, measured_session, next_frame, open};
+use crate::cli::run::{Verdict, all_processors, calibration_folder};
 use anyhow::{Context, ensure};
 use depth_camera::Sensor;
-use mcap_session::open_session;
 use relief::{
     config::{
-        CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, MeasuredSession, Measurement,
-        Overrides, calibration_path, find_calibration, merge_into_file,
+        CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, Measurement, Overrides,
+        calibration_path, find_calibration, merge_into_file,
     },
     fusion::{DepthNoise, Fusion},
     geometry::CameraModel,
     pipeline::{DepthCorrection, MeasuredWhite},
     shading::{Calibration, LightCalibration},
 };
-use replay::Pacing;
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
 /// Half the width of a 95 % interval in standard deviations.
@@ -23,7 +21,8 @@ const INTERVAL_SIGMAS: f64 = 1.96;
 
 /// `relief calibrate depth`.
 pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
-    let mut camera = open_session(&args.session, Pacing::AsFastAsPossible)?.camera;
+    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
+    let mut camera = open(&args.session, &config)?;
     let info = camera.info().clone();
     ensure!(
         info.sensor == Sensor::Kinect2,
@@ -39,7 +38,6 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
         session: Some(&args.session),
     };
     let calibration = without_white_level(find_calibration(&info, &places)?.calibration);
-    let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
     let mut correction = DepthCorrection::new(&info, &calibration, true, &config.fusion);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(all_processors().get())
@@ -102,10 +100,7 @@ fn print(measured: &MeasuredWhite) {
 }
 
 fn measurement(measured: &MeasuredWhite, session: &Path) -> anyhow::Result<Measurement> {
-    let session = MeasuredSession {
-        name: session_name(session),
-        content: mcap_session::content_hash(session)?,
-    };
+    let session = measured_session(session)?;
     let half_interval = INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0;
     let figures = [
         ("half_interval_95", half_interval),

@@ -1,27 +1,26 @@
 //! `relief calibrate offset`: where the IR image lies against the depth image.
 
-use super::{OffsetArgs, next_frame};
-use crate::cli::run::{Verdict, calibration_folder, session_name};
+use super::{OffsetArgs, measured_session, next_frame, open};
+use crate::cli::run::{Verdict, calibration_folder};
 use anyhow::{Context, ensure};
 use depth_camera::{DepthCamera, Frame, Sensor};
 use freenect1::NOMINAL_IR_OFFSET_PX;
-use mcap_session::open_session;
 use relief::{
     calibrate::{ImageOffset, OffsetEstimate, combine_offsets, image_offset},
     config::{
-        CalibrationKey, DeviceCalibration, MeasuredSession, Measurement, calibration_path,
+        CalibrationKey, Config, DeviceCalibration, Measurement, Overrides, calibration_path,
         merge_into_file,
     },
     fusion::TrackingOutcome,
     geometry::Pose,
     snapshot::{SnapshotParams, SnapshotSelector, TrackedFrame},
 };
-use replay::Pacing;
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
 /// `relief calibrate offset`.
 pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
-    let mut camera = open_session(&args.session, Pacing::AsFastAsPossible)?.camera;
+    let config = Config::layered(None, &Overrides::default())?;
+    let mut camera = open(&args.session, &config)?;
     let info = camera.info().clone();
     let serial = args.file.serial.clone().unwrap_or(info.serial);
     let path = calibration_path(
@@ -132,10 +131,7 @@ fn print(estimate: &OffsetEstimate, sensor: Sensor) {
 }
 
 fn measurement(estimate: &OffsetEstimate, session: &Path) -> anyhow::Result<Measurement> {
-    let session = MeasuredSession {
-        name: session_name(session),
-        content: mcap_session::content_hash(session)?,
-    };
+    let session = measured_session(session)?;
     let figures = [
         ("right_half_interval_px", estimate.half_interval_px[0]),
         ("down_half_interval_px", estimate.half_interval_px[1]),

@@ -1,26 +1,28 @@
 //! `relief calibrate response|flat-field|light`: gather the sessions, fit Eq. (1) to all of them, say what was found, and
 //! write what the command is for into the device's file.
 
-use super::{TargetArgs, findings::Findings, next_frame, page::write_page, print::print};
+use super::{
+    TargetArgs, findings::Findings, measured_session, next_frame, open, page::write_page,
+    print::print,
+};
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, bail, ensure};
 use depth_camera::CameraInfo;
-use mcap_session::open_session;
 use nalgebra::Point3;
 use relief::{
     calibrate::{
         BallRadius, Estimate, Gatherer, InverseSquare, Priors, Refusal, Scan, Sensor, Target,
         estimate, inverse_square, response_check,
     },
+    capture::IrOffset,
     config::{
-        self, CalibrationKey, CalibrationPlaces, DeviceCalibration, FoundCalibration, KeyOrigin,
-        MeasuredSession, Measurement, calibration_path, merge_into_file,
+        self, CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, FoundCalibration,
+        KeyOrigin, Measurement, Overrides, calibration_path, merge_into_file,
     },
     fusion::FusionParams,
     geometry::{CameraModel, RayGrid},
     shading::FlatField,
 };
-use replay::Pacing;
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -64,20 +66,17 @@ const LOBE_SIGMA: f64 = 1.5;
 struct Sessions {
     info: CameraInfo,
     serial: String,
+    /// The calibration that it has so far.
+    found: FoundCalibration,
     scans: Vec<Scan>,
 }
 
 /// Runs a command.
 pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
-    let sessions = gather(args)?;
+    let sessions = gather(args, &folder)?;
     let path = calibration_path(&folder, &sessions.serial)?;
-    let found = find(
-        &sessions,
-        &args.sessions,
-        args.calibration.as_deref(),
-        &folder,
-    )?;
+    let found = &sessions.found;
     require_targets(aim, &sessions.scans)?;
 
     let rays = RayGrid::new(CameraModel::new(sessions.info.intrinsics));
@@ -90,8 +89,8 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
             .context("the session has no infrared images")?,
         noise: found.calibration.noise,
     };
-    let priors = priors(aim, args, &sessions.info, &found)?;
-    let findings = investigate(aim, &sessions.scans, &sensor, priors, &found)?;
+    let priors = priors(aim, args, &sessions.info, found)?;
+    let findings = investigate(aim, &sessions.scans, &sensor, priors, found)?;
     print(&findings, args.json)?;
 
     let page = args
@@ -113,37 +112,33 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
 }
 
 /// Replays every session; all must be of one device.
-fn gather(args: &TargetArgs) -> anyhow::Result<Sessions> {
+fn gather(args: &TargetArgs, folder: &Path) -> anyhow::Result<Sessions> {
+    let config = Config::layered(None, &Overrides::default())?;
+    let first = args.sessions.first().context("no session is given")?;
+    let info = open(first, &config)?.info().clone();
+    let serial = args.file.serial.as_ref().unwrap_or(&info.serial).clone();
+    let found = find(&info, &serial, args, folder)?;
+    let ir_offset = IrOffset::nearest(found.calibration.ir_offset_px);
     let radius = args
         .radius
         .map_or(BallRadius::Unknown, |radius| BallRadius::Given(radius.0));
-    let mut infos: Vec<CameraInfo> = Vec::new();
     let mut scans = Vec::new();
     for session in &args.sessions {
-        let mut camera = open_session(session, Pacing::AsFastAsPossible)?.camera;
-        let info = camera.info().clone();
-        if let Some(first) = infos.first() {
-            check_same_device(first, &info, session, args.file.serial.is_some())?;
-        }
-        let mut gatherer = Gatherer::new(&info, FusionParams::default())
+        let mut camera = open(session, &config)?;
+        check_same_device(&info, camera.info(), session, args.file.serial.is_some())?;
+        let mut gatherer = Gatherer::new(camera.info(), FusionParams::default())
             .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
         while let Some(frame) = next_frame(camera.as_mut())? {
-            gatherer.observe(&frame);
+            gatherer.observe(&ir_offset.remove_from(frame));
         }
         let scan = gatherer.finish(&session_name(session), radius)?;
         tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
-        infos.push(info);
         scans.push(scan);
     }
-    let info = infos.into_iter().next().context("no session is given")?;
-    let serial = args
-        .file
-        .serial
-        .clone()
-        .unwrap_or_else(|| info.serial.clone());
     Ok(Sessions {
         info,
         serial,
+        found,
         scans,
     })
 }
@@ -175,19 +170,19 @@ fn check_same_device(
 }
 
 fn find(
-    sessions: &Sessions,
-    folders: &[PathBuf],
-    given: Option<&Path>,
+    info: &CameraInfo,
+    serial: &str,
+    args: &TargetArgs,
     folder: &Path,
 ) -> anyhow::Result<FoundCalibration> {
     let info = CameraInfo {
-        serial: sessions.serial.clone(),
-        ..sessions.info.clone()
+        serial: serial.to_owned(),
+        ..info.clone()
     };
     let places = CalibrationPlaces {
-        given,
+        given: args.calibration.as_deref(),
         folder,
-        session: folders.first().map(PathBuf::as_path),
+        session: args.sessions.first().map(PathBuf::as_path),
     };
     Ok(config::find_calibration(&info, &places)?)
 }
@@ -299,12 +294,7 @@ fn write(
     let measured_sessions = args
         .sessions
         .iter()
-        .map(|session| {
-            Ok(MeasuredSession {
-                name: session_name(session),
-                content: mcap_session::content_hash(session)?,
-            })
-        })
+        .map(|session| measured_session(session))
         .collect::<anyhow::Result<Vec<_>>>()?;
     let mut device = DeviceCalibration::new(sessions.serial.clone(), sessions.info.sensor);
     let state = &findings.estimate.state;

@@ -5,7 +5,11 @@ use crate::cli::run::{Verdict, session_folder};
 use anyhow::Context;
 use depth_camera::{CameraError, DepthCamera, Frame};
 use mcap_session::{RecordingParams, SegmentWriter, open_session};
-use relief::shading::Calibration;
+use relief::{
+    config::{Config, Overrides},
+    devices::{Recording, open_recording},
+    shading::Calibration,
+};
 use replay::{Pacing, SessionWriter};
 use serde_json::json;
 use std::{fs, path::Path, time::Duration};
@@ -19,27 +23,39 @@ struct Converted {
 
 /// `relief session export`.
 pub fn export(args: &ConvertArgs) -> anyhow::Result<Verdict> {
-    let mut session = open_session(&args.session, Pacing::AsFastAsPossible)?;
-    let units = session.depth_scale.units_per_metre;
-    let mut writer = SessionWriter::create(&args.out, session.camera.info(), units)?;
-    let converted = convert(session.camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
+    let (mut camera, units) = open(&args.session)?;
+    let mut writer = SessionWriter::create(&args.out, camera.info(), units)?;
+    let converted = convert(camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
     writer.finish()?;
     conclude(args, &converted)
 }
 
 /// `relief session import`.
 pub fn import(args: &ConvertArgs) -> anyhow::Result<Verdict> {
-    let mut session = open_session(&args.session, Pacing::AsFastAsPossible)?;
+    let (mut camera, units) = open(&args.session)?;
     let params = RecordingParams {
-        depth_units_per_metre: session.depth_scale.units_per_metre,
+        depth_units_per_metre: units,
         // Whoever asks for a file gets it, or hears that there is no room.
         min_free_bytes: 0,
         ..RecordingParams::default()
     };
-    let mut writer = SegmentWriter::create(&args.out, session.camera.info(), params)?;
-    let converted = convert(session.camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
+    let mut writer = SegmentWriter::create(&args.out, camera.info(), params)?;
+    let converted = convert(camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
     writer.finish()?;
     conclude(args, &converted)
+}
+
+/// A recording of any kind, and in how many steps a metre its depth is to be stored: as it is, or as the configuration says where
+/// it is not stored as depth.
+fn open(session: &Path) -> anyhow::Result<(Box<dyn DepthCamera>, f64)> {
+    let pacing = Pacing::AsFastAsPossible;
+    if Recording::of_folder(session) == Recording::Session {
+        let session = open_session(session, pacing)?;
+        return Ok((session.camera, session.depth_scale.units_per_metre));
+    }
+    let config = Config::layered(None, &Overrides::default())?;
+    let camera = open_recording(session, &config.devices, pacing)?;
+    Ok((camera, config.capture.record_depth_units_per_metre))
 }
 
 /// Hands all frames on; damaged ones are told of and counted.

@@ -71,20 +71,16 @@ pub fn info(args: &SessionArgs) -> anyhow::Result<Verdict> {
 }
 
 fn camera(info: &CameraInfo) -> Value {
-    let i = &info.intrinsics;
-    json!({
-        "sensor": info.sensor.name(),
-        "serial": info.serial,
-        "driver": info.driver,
-        "width": i.width, "height": i.height,
-        "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
-        "k1": i.k1, "k2": i.k2, "p1": i.p1, "p2": i.p2, "k3": i.k3,
-        "ir_full_scale": info.ir_full_scale,
-        "light": info.light.map(|light| json!({
-            "kind": light.kind.name(),
-            "position_m": light.position_m,
-        })),
-    })
+    let mut camera = json!(info.intrinsics);
+    camera["sensor"] = json!(info.sensor.name());
+    camera["serial"] = json!(info.serial);
+    camera["driver"] = json!(info.driver);
+    camera["ir_full_scale"] = json!(info.ir_full_scale);
+    camera["light"] = json!(info.light.map(|light| json!({
+        "kind": light.kind.name(),
+        "position_m": light.position_m,
+    })));
+    camera
 }
 
 /// `relief session verify`.

@@ -4,4 +4,5 @@ mod recording;
 mod scan;
 mod several;
 mod shading;
+mod snapshots;
 mod stand_in;

@@ -1,7 +1,10 @@
 //! The whole pipeline on a device: it ends in the meshes of its replay.
 
-use super::stand_in::{Bus, ZERO_PLANE_LINE, inside, raw_frames, zero_plane};
-use crate::end_to_end::params;
+use super::stand_in::{Bus, ZERO_PLANE_LINE, inside};
+use crate::{
+    end_to_end::params,
+    raw_kinect1::{raw_frames, zero_plane},
+};
 use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Sensor};
 use freenect1::{DeviceRecord, RawDisparityWriter};
 use relief::{
@@ -20,7 +23,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-const SERIAL: &str = "A00362A00000007A";
+pub const SERIAL: &str = "A00362A00000007A";
 
 /// Longest wait for what the pipeline does; the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -52,7 +55,7 @@ impl DepthCamera for FirstFrames {
     }
 }
 
-fn device_params() -> DeviceParams {
+pub fn device_params() -> DeviceParams {
     let mut params = DeviceParams::default();
     params.kinect1.ir_gain = 12;
     params.kinect1.ir_offset_px = Some([0.0, 0.0]);
@@ -61,7 +64,7 @@ fn device_params() -> DeviceParams {
 }
 
 /// The simulated camera's two images lie on one grid, and it shines evenly.
-fn scan_params() -> PipelineParams {
+pub fn scan_params() -> PipelineParams {
     let calibration = Calibration::shipped(Sensor::Kinect1).unwrap();
     PipelineParams {
         record: false,
@@ -96,9 +99,7 @@ fn a_session_streamed_as_packets_ends_in_the_meshes_of_its_replay() {
             lamp_position_m: device_params().kinect1.lamp_position_m,
         };
         let mut writer = RawDisparityWriter::create(&bus.path("session"), &device).unwrap();
-        // A frame's last packets come with the first ones of the next: the device sends one more.
-        let (_, session) = frames.split_last().unwrap();
-        for frame in session {
+        for frame in &frames {
             writer.write(frame).unwrap();
         }
         writer.finish().unwrap();

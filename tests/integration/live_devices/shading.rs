@@ -1,6 +1,7 @@
 //! Shading images with depth stopped, on the unmodified libfreenect.
 
-use super::stand_in::{Bus, inside, raw_frames};
+use super::stand_in::{Bus, inside};
+use crate::raw_kinect1::raw_frames;
 use depth_camera::DepthCamera;
 use relief::{
     devices::{DeviceParams, open},

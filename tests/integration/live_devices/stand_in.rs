@@ -1,12 +1,8 @@
 //! Kinects that are plain files, and processes that find them where libusb should be.
 
-use crate::support::PROGRAM;
+use crate::{raw_kinect1::stamp_secs, support::PROGRAM};
 use depth_camera::Image;
-use freenect1::{
-    assembly::RawFrame,
-    disparity::{NO_DISPARITY, ZeroPlane},
-};
-use simulated::SimulatedCamera;
+use freenect1::assembly::RawFrame;
 use std::{
     env, fs,
     os::unix::fs::symlink,
@@ -161,51 +157,8 @@ pub fn n_listed(list: &Path) -> usize {
     text.lines().filter(|line| !line.starts_with('#')).count()
 }
 
-/// The constants of a device whose focal length is that of the simulated Kinect I, 580 px.
-pub fn zero_plane() -> ZeroPlane {
-    ZeroPlane {
-        // As the device has it, in 32 bits.
-        reference_pixel_size_mm: f64::from((120.0 / 1160.0) as f32),
-        ..ZeroPlane::TYPICAL
-    }
-}
-
 /// The line of `device.txt` that says so.
 pub const ZERO_PLANE_LINE: &str = "reference_pixel_size_mm = 0.10344828";
-
-/// Stamp of depth in frame `number` of a stream that is played once, seconds.
-fn stamp_secs(number: usize) -> f64 {
-    // The stand-in stamps depth 12 345 ticks after IR.
-    depth_camera::whole_microseconds((number as f64 * 2e6 + 12_345.0) / 60e6)
-}
-
-/// A simulated Kinect I's frames as the device would send them: the nearest disparity, and IR with eight more rows.
-pub fn raw_frames(camera: SimulatedCamera) -> Vec<RawFrame> {
-    use depth_camera::DepthCamera;
-    let plane = zero_plane();
-    let mut camera = camera;
-    let frames = std::iter::from_fn(|| camera.grab(Duration::ZERO).unwrap());
-    frames
-        .enumerate()
-        .map(|(number, frame)| {
-            let disparity = |metres: &f32| match *metres > 0.0 {
-                true => plane.disparity(f64::from(*metres)),
-                false => NO_DISPARITY,
-            };
-            let mut ir = Image::filled(640, 488, 0);
-            if let Some(shown) = &frame.ir {
-                ir.data_mut()[..640 * 480].copy_from_slice(shown.data());
-            }
-            RawFrame {
-                frame_id: number as u64,
-                device_time_secs: stamp_secs(number),
-                host_time: frame.host_time,
-                disparity: frame.depth.map(|depth| depth.map(disparity)),
-                ir: Some(ir),
-            }
-        })
-        .collect()
-}
 
 /// Frames without a scene, each unlike the others.
 pub fn noise_frames(n_frames: usize, seed: usize) -> Vec<RawFrame> {

@@ -10,6 +10,7 @@ use std::{
 };
 
 use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, whole_microseconds};
+use udev_monitor::{Action, UsbMonitor};
 
 use super::{
     device_thread::{DeviceThread, Reopen, Report},
@@ -22,6 +23,9 @@ use crate::{
     packet::RawPacket,
     recording::DeviceRecord,
 };
+
+/// How often udev is listened to while something is awaited.
+const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
 
 /// How a live device is used.
 #[derive(Clone, Debug)]
@@ -59,7 +63,7 @@ impl Default for LiveOptions {
 /// A live Kinect II.
 ///
 /// `grab` decodes the newest packet; older ones that nobody took are left out, and `frame_id` counts them and those that were
-/// lost. Silence ends in one [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab`
+/// lost. Silence, or udev's word that the device has gone, ends in one [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab`
 /// gives [`CameraError::Timeout`] until it is back, and the stream goes on with higher `frame_id`s and later times.
 #[derive(Debug)]
 pub struct Freenect2Camera {
@@ -71,6 +75,8 @@ pub struct Freenect2Camera {
     packet: Stamped,
     /// When the present stream began; `None` while the device is gone.
     streaming_since: Option<Instant>,
+    /// Tells of unplugging before silence does, and of plugging in before it is looked for again.
+    monitor: Option<UsbMonitor>,
     /// Taken when the camera is dropped, which ends the thread.
     commands: Option<SyncSender<Reopen>>,
     reports: Receiver<Report>,
@@ -110,10 +116,17 @@ impl Freenect2Camera {
             slot,
             packet: Stamped::empty(),
             streaming_since: Some(Instant::now()),
+            monitor: None,
             commands: Some(commands),
             reports,
             thread: Some(thread),
         })
+    }
+
+    /// The camera, which from now on believes what udev says of its device.
+    pub fn with_monitor(mut self, monitor: UsbMonitor) -> Self {
+        self.monitor = Some(monitor);
+        self
     }
 
     /// What the device says of itself, for a recording of its packets.
@@ -133,7 +146,22 @@ impl Freenect2Camera {
 
     /// Waits until the device is back.
     fn wait_for_return(&mut self, timeout: Duration) -> Result<(), CameraError> {
-        let record = wait_for_report(&self.reports, timeout)?;
+        let deadline = Instant::now() + timeout;
+        let record = loop {
+            if self.heard() == Some(Action::Added) {
+                self.look_for_device();
+            }
+            let remaining = deadline.saturating_duration_since(Instant::now());
+            match wait_for_report(&self.reports, remaining.min(LISTEN_INTERVAL)) {
+                Err(CameraError::Timeout { .. }) if remaining > LISTEN_INTERVAL => {}
+                Err(CameraError::Timeout { .. }) => {
+                    return Err(CameraError::Timeout { waited: timeout });
+                }
+                report => break report?,
+            }
+        };
+        // Opening resets the device, which is no unplugging.
+        self.heard();
         if record != self.record {
             self.decoder = decoder_of(&record, self.options.decoder)?;
             self.info = frames::camera_info(&record.serial, &record.ir_parameters, None);
@@ -154,11 +182,32 @@ impl Freenect2Camera {
     /// Gives the device up and has it looked for.
     fn disconnect(&mut self) -> CameraError {
         self.streaming_since = None;
+        self.look_for_device();
+        CameraError::Disconnected
+    }
+
+    fn look_for_device(&self) {
         if let Some(commands) = &self.commands {
             // Full means that it is being looked for already.
             let _ = commands.try_send(Reopen);
         }
-        CameraError::Disconnected
+    }
+
+    /// The newest that udev has said of the device since it was listened to last.
+    fn heard(&mut self) -> Option<Action> {
+        let mut newest = None;
+        while let Some(monitor) = &mut self.monitor {
+            match monitor.next(Duration::ZERO) {
+                Ok(Some(event)) if event.serial.as_ref() == Some(&self.record.serial) => {
+                    newest = Some(event.action);
+                }
+                Ok(Some(_)) => {}
+                Ok(None) => break,
+                // Without it silence tells.
+                Err(_) => self.monitor = None,
+            }
+        }
+        newest
     }
 }
 
@@ -177,9 +226,17 @@ impl DepthCamera for Freenect2Camera {
             }
         };
         loop {
+            let next_look = match self.monitor {
+                Some(_) => Instant::now() + LISTEN_INTERVAL,
+                None => deadline,
+            };
             let silent_at = self.silent_at(streaming_since);
-            if self.slot.take(&mut self.packet, deadline.min(silent_at)) {
+            let until = deadline.min(silent_at).min(next_look);
+            if self.slot.take(&mut self.packet, until) {
                 break;
+            }
+            if self.heard() == Some(Action::Removed) {
+                return Err(self.disconnect());
             }
             let now = Instant::now();
             // Damaged packets may have come meanwhile: they are a sign of life.

@@ -5,6 +5,7 @@
 use freenect2::{
     Decoded, Decoder, DecoderOptions, HEIGHT, IrParameters, P0Tables, RawPacket, WIDTH,
 };
+use freenect2_stand_in::{AnsweredCamera, Answers};
 use freenect2_synth::{Camera, Encoder, PhaseTables, RayRows, Scene};
 
 pub const CAMERA: Camera = Camera {
@@ -26,6 +27,30 @@ pub fn parameters() -> IrParameters {
         k3,
         p1: CAMERA.tangential[0],
         p2: CAMERA.tangential[1],
+    }
+}
+
+/// What the device answers.
+pub fn answers() -> Answers {
+    let [fx, fy] = CAMERA.focal.map(|x| x as f32);
+    let [cx, cy] = CAMERA.centre.map(|x| x as f32);
+    let [k1, k2, k3] = CAMERA.radial.map(|x| x as f32);
+    let [p1, p2] = CAMERA.tangential.map(|x| x as f32);
+    Answers {
+        firmware: "4.3.3912.0".to_owned(),
+        p0_response: PhaseTables::varied().response(),
+        ir_parameters: AnsweredCamera {
+            fx,
+            fy,
+            cx,
+            cy,
+            k1,
+            k2,
+            k3,
+            p1,
+            p2,
+        },
+        open_error: String::new(),
     }
 }
 
