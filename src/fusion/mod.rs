@@ -38,6 +38,7 @@ mod view;
 mod volume;
 
 mod raycast;
+mod sight;
 
 mod polish;
 mod relocalise;
