@@ -83,7 +83,7 @@ impl Watch {
         Ok(())
     }
 
-    /// Ends capture and refinement; what was captured is still fused, exported and reported.
+    /// Ends capture and refinement; what was fused is still exported and reported, but not improved.
     pub fn stop(&self) {
         self.stop.stop();
         self.end.stop();
@@ -116,7 +116,7 @@ impl Handle {
         self.watch.status()
     }
 
-    /// Ends capture and refinement; what was captured is still fused, exported and reported.
+    /// Ends capture and refinement; what was fused is still exported and reported, but not improved.
     pub fn stop(&self) {
         self.watch.stop();
     }
