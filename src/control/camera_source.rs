@@ -6,7 +6,7 @@ use crate::{
 };
 use depth_camera::{CameraError, CameraInfo, DepthCamera};
 use mcap_session::open_session;
-use replay::{Pacing, ReplayCamera};
+use replay::{Pacing, RepeatingCamera};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use utoipa::ToSchema;
@@ -83,9 +83,13 @@ impl CameraSource {
         match self {
             CameraSource::Replay { session, repeat } => {
                 let pacing = Pacing::Recorded;
+                let session = session.clone();
+                let open = move || -> Result<Box<dyn DepthCamera>, CameraError> {
+                    Ok(open_session(&session, pacing)?.camera)
+                };
                 Ok(match repeat {
-                    true => Box::new(ReplayCamera::open(session)?.with_pacing(pacing).repeating()),
-                    false => open_session(session, pacing)?.camera,
+                    true => Box::new(RepeatingCamera::new(Box::new(open))?),
+                    false => open()?,
                 })
             }
             CameraSource::Live { serial } => {
@@ -104,10 +108,9 @@ impl CameraSource {
     /// For a recording that cannot be played.
     pub fn check(&self) -> Result<(), CameraError> {
         match self {
-            CameraSource::Replay { session, repeat } => match repeat {
-                true => ReplayCamera::open(session).map(drop),
-                false => open_session(session, Pacing::Recorded).map(drop),
-            },
+            CameraSource::Replay { session, .. } => {
+                open_session(session, Pacing::Recorded).map(drop)
+            }
             CameraSource::Live { .. } => Ok(()),
         }
     }
