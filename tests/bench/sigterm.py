@@ -196,8 +196,8 @@ def faults_of(run, name, code, secs):
     if is_told_twice:
         # The next daemon mends what was left open, and ends.
         run.start()
-        if (code := end(run, False, None)[0]) != 0:
-            faults.append(f"the next daemon ended with {code}")
+        if (next_code := end(run, False, None)[0]) != 0:
+            faults.append(f"the next daemon ended with {next_code}")
     jobs = [json.loads(path.read_text())["scan"] for path in (run.folder / "spool" / "waiting").glob("*.json")]
     for session in (run.folder / "sessions").iterdir():
         if list(session.rglob("*.mcap")):
@@ -217,8 +217,9 @@ def faults_of(run, name, code, secs):
             continue
         report = json.loads(reports[0].read_text())
         frames = report["frames"]
-        # What was seen once or twice makes no surface, and there is nothing to refine.
-        has_surface = frames["fused"] > 5
+        # What was seen once or twice makes no surface, and of a scan of less than five seconds nothing is left when five are taken
+        # back: there is nothing to refine.
+        has_surface = frames["fused"] > 5 and name != "undoing"
         if frames["unaccounted"]:
             faults.append(f"{session.name}: {frames['unaccounted']} frames are missing")
         if has_surface and not (session / "base.ply").stat().st_size > 10_000:
