@@ -17,6 +17,7 @@ pub mod fusion;
 pub mod geometry;
 pub mod interreflection;
 pub mod jobs;
+pub mod lock;
 pub mod multipath;
 pub mod pipeline;
 pub mod refine;

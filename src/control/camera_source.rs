@@ -2,10 +2,10 @@
 
 use crate::{
     config::ConfigError,
-    devices::{self, DeviceParams, Machine, OpenError, Recording, open_recording},
+    devices::{self, DeviceParams, Machine, OpenError, open_recording},
 };
 use depth_camera::{CameraError, CameraInfo, DepthCamera};
-use replay::{Pacing, ReplayCamera};
+use replay::{Pacing, RepeatingCamera};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use utoipa::ToSchema;
@@ -101,8 +101,8 @@ impl CameraSource {
     /// For a recording that cannot be played.
     pub fn check(&self) -> Result<(), CameraError> {
         match self {
-            CameraSource::Replay { session, repeat } => {
-                play(session, *repeat, &DeviceParams::default()).map(drop)
+            CameraSource::Replay { session, .. } => {
+                play(session, false, &DeviceParams::default()).map(drop)
             }
             CameraSource::Live { .. } => Ok(()),
         }
@@ -111,12 +111,10 @@ impl CameraSource {
     /// The cameras that this daemon may scan with, those that answer.
     pub fn list(&self) -> Vec<DeviceName> {
         match self {
-            CameraSource::Replay { session, repeat } => {
-                play(session, *repeat, &DeviceParams::default())
-                    .map(|camera| DeviceName::of(camera.info()))
-                    .into_iter()
-                    .collect()
-            }
+            CameraSource::Replay { session, .. } => play(session, false, &DeviceParams::default())
+                .map(|camera| DeviceName::of(camera.info()))
+                .into_iter()
+                .collect(),
             CameraSource::Live { serial } => {
                 let mut devices = usable();
                 if let Some(serial) = serial {
@@ -142,17 +140,11 @@ fn play(
     repeat: bool,
     params: &DeviceParams,
 ) -> Result<Box<dyn DepthCamera>, CameraError> {
-    let pacing = Pacing::Recorded;
-    match (repeat, Recording::of_folder(session)) {
-        (false, _) => open_recording(session, params, pacing),
-        (true, Recording::Session) => {
-            let camera = ReplayCamera::open(session)?;
-            Ok(Box::new(camera.with_pacing(pacing).repeating()))
-        }
-        (true, _) => Err(CameraError::Invalid(format!(
-            "{}: a recording of raw data is played once, not over and over",
-            session.display()
-        ))),
+    let (session, params) = (session.to_owned(), params.clone());
+    let open = move || open_recording(&session, &params, Pacing::Recorded);
+    match repeat {
+        true => Ok(Box::new(RepeatingCamera::new(Box::new(open))?)),
+        false => open(),
     }
 }
 

@@ -185,7 +185,7 @@ impl Daemon {
                 ask = signals.next() => match ask {
                     Ask::Reload => self.reload(),
                     Ask::Stop(name) => {
-                        tracing::warn!("{name}: ending; the scan is finished first, once more to exit at once");
+                        tracing::warn!("{name}: ending; what is scanned is written first, once more to exit at once");
                         break;
                     }
                 },
@@ -196,7 +196,7 @@ impl Daemon {
         Ok(())
     }
 
-    /// Finishes the scan while requests are still answered.
+    /// Ends scan and refinement while requests are still answered.
     async fn drain(&mut self, app: &App, acceptor: &Acceptor, signals: &mut DaemonSignals) {
         self.manager.stopping(2 * DRAIN_NEWS);
         let supervisor = self.supervisor.clone();

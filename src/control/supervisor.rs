@@ -12,6 +12,7 @@ use super::{
 use crate::{
     config::ConfigError,
     jobs::{JobError, WorkerHandle},
+    lock::lock,
     pipeline::{
         Command, CommandRefused, FrameAccounts, Handle, Outcome, OutputFolder, OutputFolderError,
         Pipeline, SpawnError, Watch,
@@ -22,7 +23,7 @@ use std::{
     fs, io,
     path::PathBuf,
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Mutex, MutexGuard,
         atomic::{AtomicBool, Ordering},
     },
     time::Instant,
@@ -203,9 +204,11 @@ impl Supervisor {
         Ok(())
     }
 
-    /// Starts no more scans, and finishes the one there is.
+    /// Starts no more scans and no refinement, ends the refinement there is, which goes on when the daemon is back, and ends the
+    /// scan there is with what it has.
     pub async fn drain(&self) {
         self.is_draining.store(true, Ordering::Relaxed);
+        self.worker.begin_stop();
         loop {
             let is_idle = self.is_idle.notified();
             match &*self.slot() {
@@ -339,11 +342,6 @@ impl Supervisor {
     fn slot(&self) -> MutexGuard<'_, Slot> {
         lock(&self.slot)
     }
-}
-
-/// Values are put whole: what a panic left behind is as good as any.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn has_mesh(outcome: Outcome) -> bool {

@@ -7,7 +7,6 @@
 //!
 //! Not handled: places that were seen twice but drifted apart beyond the alignment's reach of 40 mm.
 
-use super::FusionParams;
 use super::band::Band;
 use super::eye::Eye;
 use super::fragment_alignment::{Alignment, align, mutual_overlap};
@@ -16,6 +15,7 @@ use super::keyframes::Keyframe;
 use super::pose_correction::PoseCorrection;
 use super::pose_graph::{Edge, optimise};
 use super::volume::TsdfVolume;
+use super::{FusionParams, GoesOn};
 use crate::geometry::Pose;
 use nalgebra::{Matrix6, Point3, Vector6};
 use rayon::prelude::*;
@@ -121,27 +121,31 @@ const BROKEN_TRUST: f64 = 0.01;
 const KERNEL_SIGMAS: f64 = 5.0;
 
 /// Closes the loops of a scan whose frames were fused into `live` as tracked; `None` if it never came back to what it had
-/// seen, or if its frames would not fit one another better.
+/// seen, if its frames would not fit one another better, or if it shall not go on.
 pub(super) fn find(
     frames: &[Keyframe],
     eye: &Eye,
     params: &FusionParams,
     live: &TsdfVolume,
+    goes_on: &GoesOn,
 ) -> Option<ClosedLoops> {
     let fragments: Vec<Fragment> = cut(frames, &params.loop_closing)
         .into_par_iter()
-        .map(|stretch| Fragment::fuse(frames, stretch, eye.clone(), params))
-        .collect();
+        .map(|stretch| goes_on().then(|| Fragment::fuse(frames, stretch, eye.clone(), params)))
+        .collect::<Option<_>>()?;
     let tracked: Vec<Pose> = fragments
         .iter()
         .map(|fragment| frames[fragment.anchor].world_from_camera)
         .collect();
-    let (nodes, n_loops) = settle(frames, &fragments, &tracked, eye, params);
-    if n_loops == 0 {
+    let (nodes, n_loops) = settle(frames, &fragments, &tracked, eye, params, goes_on);
+    if n_loops == 0 || !goes_on() {
         return None;
     }
     let correction = PoseCorrection::of_fragments(frames, &fragments, &nodes);
-    let (volume, band) = fuse_again(frames, &correction, eye, params);
+    let (volume, band) = fuse_again(frames, &correction, eye, params, goes_on);
+    if !goes_on() {
+        return None;
+    }
     let corrected: Vec<Pose> = fragments
         .iter()
         .zip(&tracked)
@@ -169,12 +173,13 @@ fn settle(
     tracked: &[Pose],
     eye: &Eye,
     params: &FusionParams,
+    goes_on: &GoesOn,
 ) -> (Vec<Pose>, usize) {
     let drift = drift_edges(frames, fragments, tracked);
     let mut nodes = tracked.to_vec();
     let mut n_loops = 0;
     for _ in 0..ROUNDS {
-        let pairs = aligned_pairs(fragments, &nodes, eye, params);
+        let pairs = aligned_pairs(fragments, &nodes, eye, params, goes_on);
         n_loops = pairs.iter().filter(|pair| pair.is_loop()).count();
         let mut edges = drift.clone();
         edges.extend(pairs.iter().map(Pair::edge));
@@ -183,16 +188,17 @@ fn settle(
     (nodes, n_loops)
 }
 
-/// Fuses all frames at their corrected poses.
+/// Fuses all frames at their corrected poses, or the first of them if it shall not go on.
 pub(super) fn fuse_again(
     frames: &[Keyframe],
     correction: &PoseCorrection,
     eye: &Eye,
     params: &FusionParams,
+    goes_on: &GoesOn,
 ) -> (TsdfVolume, Band) {
     let mut eye = eye.clone();
     let (mut volume, mut band) = (params.empty_volume(), Band::default());
-    for frame in frames {
+    for frame in frames.iter().take_while(|_| goes_on()) {
         if eye.take(&frame.depth_m()) {
             let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
             eye.fuse_into(&mut volume, &mut band, &pose, &mut |_| {});
@@ -269,12 +275,13 @@ fn drift_edges(frames: &[Keyframe], fragments: &[Fragment], tracked: &[Pose]) ->
         .collect()
 }
 
-/// Aligns the pairs that see the same surface, and keeps those that can be true.
+/// Aligns the pairs that see the same surface, and keeps those that can be true; fewer if it shall not go on.
 fn aligned_pairs(
     fragments: &[Fragment],
     nodes: &[Pose],
     eye: &Eye,
     params: &FusionParams,
+    goes_on: &GoesOn,
 ) -> Vec<Pair> {
     let margin_m = 2.0 * params.truncation_m() as f32;
     let closing = &params.loop_closing;
@@ -287,7 +294,10 @@ fn aligned_pairs(
                 mutual_overlap(a, b, &guess(source, *target), eye, margin_m).shared_share()
                     >= closing.min_shared_share
             };
-            let targets: Vec<usize> = (0..source).filter(overlaps).collect();
+            let targets: Vec<usize> = (0..source)
+                .take_while(|_| goes_on())
+                .filter(overlaps)
+                .collect();
             let chosen = evenly(&targets, MAX_PAIRS);
             chosen.into_iter().map(move |target| (source, target))
         })
@@ -295,6 +305,9 @@ fn aligned_pairs(
     candidates
         .into_par_iter()
         .filter_map(|(source, target)| {
+            if !goes_on() {
+                return None;
+            }
             let (a, b) = (&fragments[source], &fragments[target]);
             let alignment = align(a, b, &guess(source, target), eye, margin_m)?;
             let overlap = &alignment.overlap;

@@ -38,6 +38,7 @@ mod view;
 mod volume;
 
 mod raycast;
+mod sight;
 
 mod polish;
 mod relocalise;
@@ -98,6 +99,9 @@ const MODEL_LEVEL: usize = 1;
 const SETTLING_ITERATIONS: [usize; 2] = [4, 8];
 const MAX_SETTLING_RAD: f64 = 0.02;
 const MAX_SETTLING_M: f64 = 0.01;
+
+/// Asked by long work, once a frame or a pair of fragments, whether it shall go on.
+pub type GoesOn<'a> = dyn Fn() -> bool + Sync + 'a;
 
 /// The model and the camera's place in it.
 #[derive(Clone)]
@@ -225,10 +229,11 @@ impl Fusion {
 
     /// At the end of a scan: takes back the drift between visits of one place and fuses every frame anew. The poses handed
     /// out so far are then to be moved by [`LoopClosure::correction`], and no more frames can be tracked. `None`, and nothing
-    /// is changed, if the camera never came back or its frames would not fit one another better.
-    pub fn close_loops(&mut self) -> Option<LoopClosure> {
+    /// is changed, if the camera never came back, if its frames would not fit one another better, or as soon as `goes_on`
+    /// says no.
+    pub fn close_loops(&mut self, goes_on: &GoesOn) -> Option<LoopClosure> {
         let frames = self.keyframes.frames();
-        let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume)?;
+        let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume, goes_on)?;
         (self.volume, self.band) = (closed.volume, closed.band);
         self.volume_number += 1;
         Some(closed.closure)

@@ -9,6 +9,7 @@ use super::lanes::{LANES, Lane};
 use super::preprocess::DepthRange;
 use super::pyramid::{Level, lane};
 use super::sampling::Samples;
+use super::sight::Sight;
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
 use depth_camera::Image;
@@ -71,9 +72,12 @@ pub fn raycast_anywhere(
 ) -> ModelMap {
     let mut map = ModelMap::of_level(level);
     let caster = Caster::new(volume, world_from_camera, range);
+    let sight = Sight::of(volume, &level.rays, world_from_camera, range);
     for_each_row(level, &mut map, |v, points, normals| {
         for (u, (point, normal)) in points.iter_mut().zip(normals).enumerate() {
-            let direction = caster.direction(level, v * level.rays.width + u);
+            let pixel = v * level.rays.width + u;
+            let range = sight.along([level.rays.x[pixel], level.rays.y[pixel]]);
+            let direction = caster.direction(level, pixel);
             let hit = direction.and_then(|direction| caster.march(&direction, range));
             (*point, *normal) = hit.unwrap_or_default();
         }

@@ -17,6 +17,10 @@ use super::{Fit, FusionParams, MODEL_LEVEL, align, gates};
 use crate::geometry::{Pose, motion_between};
 use nalgebra::{Point3, Vector3};
 
+/// The level at whose resolution the model is looked at from a place, which is only near the camera; what is found is looked at
+/// as in tracking.
+const NEAR_LEVEL: usize = N_REDUCED - 1;
+
 /// Columns and rows of a thumbnail.
 const COLUMNS: usize = 16;
 const ROWS: usize = 12;
@@ -120,19 +124,19 @@ fn lock(
     volume: &TsdfVolume,
     params: &FusionParams,
 ) -> Option<(Fit, Hypothesis)> {
-    let align_from = |pose: &Pose| {
+    let align_from = |pose: &Pose, level: usize| {
         let model = CastModel {
-            map: &seen_from(pose, eye, volume),
-            lens: &eye.level(MODEL_LEVEL).lens,
+            map: &seen_from(pose, eye, volume, level),
+            lens: &eye.level(level).lens,
             world_from_camera: pose,
         };
         align(eye, &model, volume, pose, params, None, &mut |_| {})
     };
-    let (near, fit) = align_from(place)?;
+    let (near, fit) = align_from(place, NEAR_LEVEL)?;
     if fit.inlier_share < params.min_inlier_share {
         return None;
     }
-    let (pose, fit) = align_from(&near)?;
+    let (pose, fit) = align_from(&near, MODEL_LEVEL)?;
     gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
     let model = believe(&pose, &fit, eye, volume)?;
     Some((
@@ -146,15 +150,15 @@ fn lock(
 
 /// The model as seen from a pose that does not follow from the one before, if it can be believed.
 pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) -> Option<ModelMap> {
-    let model = seen_from(pose, eye, volume);
+    let model = seen_from(pose, eye, volume, MODEL_LEVEL);
     let is_true = fit.inlier_share >= MIN_INLIER_SHARE
         && fit.see_through_share <= MAX_SEE_THROUGH_SHARE
         && agreeing_share(eye, &model, pose) >= MIN_AGREEING_SHARE;
     is_true.then_some(model)
 }
 
-fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume) -> ModelMap {
-    raycast_anywhere(volume, eye.level(MODEL_LEVEL), pose, eye.range)
+fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {
+    raycast_anywhere(volume, eye.level(level), pose, eye.range)
 }
 
 /// Share of the pixels with a surface in both images where it is the same surface: neither does the camera look through the

@@ -24,7 +24,7 @@ impl Fusion {
         (self.volume, self.band) = (self.params.empty_volume(), Default::default());
         let (frames, nowhere) = (self.keyframes.frames(), PoseCorrection::default());
         (self.volume, self.band) =
-            loop_closing::fuse_again(frames, &nowhere, &self.eye, &self.params);
+            loop_closing::fuse_again(frames, &nowhere, &self.eye, &self.params, &|| true);
         self.volume_number += 1;
         self.stretch = self.n_fused;
         self.interrupt();

@@ -1,6 +1,6 @@
 //! The child process of an attempt: started, listened to, told to end.
 
-use super::{JobProgress, limits::Limits};
+use super::{JobProgress, idleness::Idleness, limits::Limits};
 use crossbeam::channel::{Receiver, bounded};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use serde::{Deserialize, Serialize};
@@ -54,6 +54,8 @@ pub struct Attempt<'a> {
     pub limits: Limits,
     /// How long it may take to end when it is told to.
     pub grace: Duration,
+    /// How long it may do nothing.
+    pub max_idle: Duration,
 }
 
 /// How an attempt ended.
@@ -101,12 +103,19 @@ pub fn run(
             return Err(error);
         }
     };
-    let was_told = watch(&child, attempt.grace, is_told);
+    let watched = watch(&child, attempt, is_told);
     // Until it is waited for its number is its own, so that nobody else is hit.
     kill(&child, Signal::KILL);
     let status = child.wait()?;
-    if was_told? {
-        return Ok(AttemptEnd::Told);
+    match watched? {
+        Watched::Ended => {}
+        Watched::Told => return Ok(AttemptEnd::Told),
+        Watched::Idle => {
+            return Ok(AttemptEnd::Failed {
+                reason: format!("it did nothing for {:?}", attempt.max_idle),
+                may_repeat: true,
+            });
+        }
     }
     // Whoever holds the other end of a pipe is dead; the time limit is for who has left the group.
     let summary = heard.summary.recv_timeout(attempt.grace).ok().flatten();
@@ -132,23 +141,38 @@ fn arguments(attempt: &Attempt) -> Vec<OsString> {
     arguments
 }
 
-/// Waits for the child's end; tells it to end if it is told so, and kills it if that takes too long. Returns whether it was
-/// told. The child is not waited for: its number stays taken.
-fn watch(child: &Child, grace: Duration, is_told: impl Fn() -> bool) -> io::Result<bool> {
+/// Why a child is not watched any more.
+enum Watched {
+    /// It ended by itself.
+    Ended,
+    /// It was told to end, and has.
+    Told,
+    /// It does nothing.
+    Idle,
+}
+
+/// Waits for the child's end; tells it to end if it is told so, and kills it if that takes too long. The child is not waited
+/// for: its number stays taken.
+fn watch(child: &Child, attempt: &Attempt, is_told: impl Fn() -> bool) -> io::Result<Watched> {
     let has_ended = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
     let mut told_at: Option<Instant> = None;
+    let mut idleness = Idleness::new(child.id(), attempt.max_idle);
     while waitid(WaitId::Pid(pid(child)?), has_ended)?.is_none() {
         match told_at {
             None if is_told() => {
                 told_at = Some(Instant::now());
                 kill(child, Signal::TERM);
             }
-            Some(when) if when.elapsed() > grace => kill(child, Signal::KILL),
+            None if idleness.is_over() => return Ok(Watched::Idle),
+            Some(when) if when.elapsed() > attempt.grace => kill(child, Signal::KILL),
             _ => {}
         }
         thread::sleep(POLL);
     }
-    Ok(told_at.is_some())
+    Ok(match told_at {
+        Some(_) => Watched::Told,
+        None => Watched::Ended,
+    })
 }
 
 fn pid(child: &Child) -> io::Result<Pid> {

@@ -6,12 +6,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorkerParams {
-    /// Niceness of the child process; 10 gives it a tenth of what capture gets on a busy core.
+    /// Niceness of the child process; 19 gives it a seventieth of what capture gets on a busy core, 10 a tenth.
     pub nice: i32,
     /// Address space of the child process, MiB; beyond it the attempt fails.
     pub max_memory_mb: u64,
     /// Processor time of one attempt, seconds; beyond it the attempt fails.
     pub max_cpu_secs: u64,
+    /// An attempt that does nothing for so long, seconds, has failed.
+    pub max_idle_secs: f64,
     /// How often a failed attempt is repeated.
     pub max_retries: u32,
     /// How long a child that was told to end may take before it is killed, seconds.
@@ -21,11 +23,12 @@ pub struct WorkerParams {
 impl Default for WorkerParams {
     fn default() -> Self {
         WorkerParams {
-            nice: 10,
+            nice: 19,
             max_memory_mb: 8192,
             max_cpu_secs: 14_400,
+            max_idle_secs: 120.0,
             max_retries: 3,
-            grace_secs: 10.0,
+            grace_secs: 5.0,
         }
     }
 }
@@ -45,6 +48,7 @@ impl WorkerParams {
                 1_048_576.0,
             ),
             ("max_cpu_secs", self.max_cpu_secs as f64, 1.0, 1e6),
+            ("max_idle_secs", self.max_idle_secs, 0.1, 86_400.0),
             ("max_retries", f64::from(self.max_retries), 0.0, 3.0),
             ("grace_secs", self.grace_secs, 0.0, 600.0),
         ] {

@@ -7,8 +7,9 @@ use super::{
     landing::land,
     limits::Limits,
     spool::{self, Record},
-    worker::{Board, Shared, lock},
+    worker::{Board, Shared},
 };
+use crate::lock::lock;
 use std::{fs, io, sync::PoisonError, time::Duration};
 
 /// After the disk has refused, the worker looks again so much later.
@@ -114,6 +115,7 @@ impl Shared {
                 calibration_dir: &setup.calibration_dir,
                 limits: Limits::of_child(&setup.params),
                 grace: Duration::from_secs_f64(setup.params.grace_secs),
+                max_idle: Duration::from_secs_f64(setup.params.max_idle_secs),
             }
         };
         let is_told = || {

@@ -54,14 +54,18 @@ impl Workbench {
     }
 
     fn worker(&self) -> WorkerHandle {
+        self.worker_with(WorkerParams {
+            grace_secs: 0.5,
+            ..WorkerParams::default()
+        })
+    }
+
+    fn worker_with(&self, params: WorkerParams) -> WorkerHandle {
         Worker::spawn(WorkerSetup {
             data_dir: self.root.path().to_owned(),
             program: self.path("child"),
             calibration_dir: self.path("calibration"),
-            params: WorkerParams {
-                grace_secs: 0.5,
-                ..WorkerParams::default()
-            },
+            params,
             settings: "x = 1".to_owned(),
         })
         .unwrap()
@@ -243,17 +247,40 @@ fn a_worker_that_stops_puts_its_job_back_and_the_next_one_takes_it_up() {
     let worker = bench.worker();
     let job = worker.submit(&bench.scan).unwrap();
     poll("the child", || bench.path("up").exists().then_some(()));
+    worker.begin_stop();
+    // A scan that ends while the daemon does is left to the next one.
+    let other = scan(bench.root.path(), "b");
+    assert_eq!(worker.submit(&other).unwrap().state, JobState::Waiting);
     worker.stop();
-    assert!(matches!(
-        worker.submit(&bench.scan),
-        Err(JobError::Stopping)
-    ));
+    let late = scan(bench.root.path(), "c");
+    let late = worker.submit(&late).unwrap();
+    assert_eq!((late.state, bench.n_runs()), (JobState::Waiting, 1));
     drop(worker);
 
     bench.become_child(REFINE);
     let worker = bench.worker();
     let ended = end_of(&worker, &job.id);
     assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    assert_eq!(end_of(&worker, &late.id).state, JobState::Done);
+    worker.stop();
+}
+
+#[test]
+fn a_child_that_hangs_is_ended_and_repeated() {
+    // The first hangs in its own child, the second works for longer than one may hang.
+    let bench = Workbench::new(&format!(
+        "if [ $(wc -l < $here/runs) = 1 ]; then echo up > $here/up; sleep 600; fi\n\
+         end=$(($(date +%s) + 2)); while [ $(date +%s) -lt $end ]; do :; done\n{REFINE}"
+    ));
+    let worker = bench.worker_with(WorkerParams {
+        max_idle_secs: 1.0,
+        ..WorkerParams::default()
+    });
+    let job = worker.submit(&bench.scan).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!(ended.state, JobState::Done);
+    assert_eq!(ended.failures, ["it did nothing for 1s"]);
+    assert_eq!(bench.n_runs(), 2);
     worker.stop();
 }
 

@@ -5,10 +5,10 @@ use super::{
     inputs::job_id,
     spool::{self, Place, Request, Spool},
 };
-use crate::pipeline::REFINED_PLY;
+use crate::{lock::lock, pipeline::REFINED_PLY};
 use std::{
     path::{Path, PathBuf},
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Condvar, Mutex},
     thread::{self, JoinHandle},
     time::{SystemTime, UNIX_EPOCH},
 };
@@ -90,10 +90,10 @@ impl WorkerHandle {
     }
 
     /// Asks for the refinement of a scan's folder. The same scan with the same settings is the same job; one whose result stands
-    /// is not run again. Reads the inputs and waits for the disk.
+    /// is not run again. A worker that stops leaves it to the next. Reads the inputs and waits for the disk.
     ///
     /// # Errors
-    /// If the folder is no scan that can be refined, the worker is stopping, or the system refuses.
+    /// If the folder is no scan that can be refined, or the system refuses.
     pub fn submit(&self, session: &Path) -> Result<Job, JobError> {
         self.shared.submit(session)
     }
@@ -131,10 +131,15 @@ impl WorkerHandle {
         lock(&self.shared.board).settings = Arc::from(settings);
     }
 
-    /// Stops the child in order, puts its job back among the waiting, and waits for the thread.
-    pub fn stop(&self) {
+    /// Tells the child to end; its job goes back among the waiting, and none is begun any more. Returns at once.
+    pub fn begin_stop(&self) {
         lock(&self.shared.board).is_stopping = true;
         self.shared.news.notify_all();
+    }
+
+    /// Stops the child in order, puts its job back among the waiting, and waits for the thread.
+    pub fn stop(&self) {
+        self.begin_stop();
         let thread = lock(&self.thread).take();
         if thread.is_some_and(|thread| thread.join().is_err()) {
             tracing::error!("the worker ended by a fault of the program");
@@ -166,11 +171,6 @@ pub(super) struct Board {
     pub is_stopping: bool,
 }
 
-/// Locks what a panic cannot have left half done: records are on the disk, all else is plain values.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Shared {
     fn submit(&self, session: &Path) -> Result<Job, JobError> {
         let sessions = self.setup.data_dir.join("sessions");
@@ -180,10 +180,7 @@ impl Shared {
             session: session.to_owned(),
             sessions: sessions.clone(),
         })?;
-        let settings = match &*lock(&self.board) {
-            board if board.is_stopping => return Err(JobError::Stopping),
-            board => board.settings.clone(),
-        };
+        let settings = lock(&self.board).settings.clone();
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
         let request = Request {
             id: job_id(session, &settings)?,

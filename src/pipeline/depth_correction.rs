@@ -3,7 +3,8 @@
 
 use crate::{
     fusion::{
-        DepthField, DepthNoise, Fusion, FusionParams, Keyframe, PoseCorrection, TrackingOutcome,
+        DepthField, DepthNoise, Fusion, FusionParams, GoesOn, Keyframe, PoseCorrection,
+        TrackingOutcome,
     },
     geometry::{CameraModel, Pose, RayGrid},
     interreflection::WhiteLevel,
@@ -124,7 +125,7 @@ impl DepthCorrection {
             revised,
             search,
             evidence,
-        } = self.settled(fusion);
+        } = self.settled(fusion, &|| true);
         let fused_again = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
         let white = revised
             .as_ref()
@@ -138,16 +139,19 @@ impl DepthCorrection {
     }
 
     /// Compares the views of a fused scan with its model, and fuses it again as long as that tells of errors that were not
-    /// taken off. `None` if it stays as it is.
-    pub fn revise(&self, fusion: &Fusion) -> Option<Revised> {
-        self.settled(fusion).revised
+    /// taken off. `None` if it stays as it is; as soon as `goes_on` says no, what was fused again in whole counts.
+    pub fn revise(&self, fusion: &Fusion, goes_on: &GoesOn) -> Option<Revised> {
+        self.settled(fusion, goes_on).revised
     }
 
-    fn settled(&self, fusion: &Fusion) -> Settled {
+    fn settled(&self, fusion: &Fusion, goes_on: &GoesOn) -> Settled {
         let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
         for _ in 0..self.fusion.max_revisions {
+            if !goes_on() {
+                break;
+            }
             let white = revised.as_ref().map_or(self.live, |revised| revised.white);
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
             let field = self.field(current);
@@ -163,7 +167,7 @@ impl DepthCorrection {
                 to: next_white.unwrap_or(white),
                 field,
             };
-            match self.fuse_again(current, change, revised.as_ref()) {
+            match self.fuse_again(current, change, revised.as_ref(), goes_on) {
                 Some(again) => (revised, told) = (Some(again), None),
                 None => break,
             }
@@ -258,12 +262,13 @@ impl DepthCorrection {
         Some(evidence)
     }
 
-    /// Fuses all frames again, corrected otherwise; `None` if too many are lost that way.
+    /// Fuses all frames again, corrected otherwise; `None` if too many are lost that way, or it shall not go on.
     fn fuse_again(
         &self,
         before: &Fusion,
         change: Change,
         revised: Option<&Revised>,
+        goes_on: &GoesOn,
     ) -> Option<Revised> {
         let camera = CameraModel::new(self.info.intrinsics);
         let noise = DepthNoise::of_sensor(self.info.sensor);
@@ -272,6 +277,9 @@ impl DepthCorrection {
         let mut last: Option<&Keyframe> = None;
         let frames = before.keyframes();
         for frame in frames {
+            if !goes_on() {
+                return None;
+            }
             let is_apart = last.is_some_and(|last| {
                 frame.time_secs - last.time_secs > MAX_GAP_SECS || frame.stretch != last.stretch
             });

@@ -5,7 +5,7 @@ use super::{
     deliver::Outbox,
     edges::DropCounts,
     event_log::EventLog,
-    fusion_stage::FusionSummary,
+    fusion_stage::{FusedScan, FusionSummary},
     live::Live,
     output_folder::OutputFolder,
     pictures,
@@ -83,7 +83,7 @@ impl Watch {
         Ok(())
     }
 
-    /// Ends capture and refinement; what was captured is still fused, exported and reported.
+    /// Ends capture and refinement; what was fused is still exported and reported, but not improved.
     pub fn stop(&self) {
         self.stop.stop();
         self.end.stop();
@@ -116,7 +116,7 @@ impl Handle {
         self.watch.status()
     }
 
-    /// Ends capture and refinement; what was captured is still fused, exported and reported.
+    /// Ends capture and refinement; what was fused is still exported and reported, but not improved.
     pub fn stop(&self) {
         self.watch.stop();
     }
@@ -181,12 +181,11 @@ fn conclude(
     }
     let mut report = report::compose(subject, endings, &outbox.account());
     if let Some(scan) = scan {
-        let draw = || pictures::draw(scan, endings.refined);
-        let drawn = std::panic::catch_unwind(std::panic::AssertUnwindSafe(draw));
-        let pictures = drawn.unwrap_or_else(|panic| {
-            outbox.fail(fault("the report's pictures", panic.as_ref()));
-            ReportPictures::default()
-        });
+        // Drawing takes as long as all else that a run has to do once it is stopped.
+        let pictures = match endings.stopped_early {
+            true => ReportPictures::default(),
+            false => pictures_of(scan, endings.refined, outbox),
+        };
         outbox.report(&mut report, &pictures);
     }
     drop(folder);
@@ -198,6 +197,15 @@ fn conclude(
         failures: outbox.account().failures,
         report,
     }
+}
+
+fn pictures_of(scan: &FusedScan, refined: &RefineSummary, outbox: &Outbox) -> ReportPictures {
+    let draw = || pictures::draw(scan, refined);
+    let drawn = std::panic::catch_unwind(std::panic::AssertUnwindSafe(draw));
+    drawn.unwrap_or_else(|panic| {
+        outbox.fail(fault("the report's pictures", panic.as_ref()));
+        ReportPictures::default()
+    })
 }
 
 fn nothing_fused(subject: &Subject, endings: &Endings) -> String {

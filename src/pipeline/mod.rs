@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Capacities and what happens when an edge is full stand in [`edges`]. Results depend on the frames alone: with
-//! [`WhenFull::Block`] they are the same for any number of threads. [`Handle::stop`] ends capture, lets fusion finish what
-//! it has, and cancels refinement; base mesh and report are still written. A thread that panics takes down nothing but its
+//! [`WhenFull::Block`] they are the same for any number of threads. [`Handle::stop`] ends capture, ends fusion with
+//! what it has, unimproved, and cancels refinement; base mesh and report are still written. A thread that panics takes down nothing but its
 //! own outputs.
 
 pub mod edges;
@@ -187,6 +187,7 @@ impl Pipeline {
         let events_in = tracked_in.clone();
         let live = watch.live.clone();
         let (status, status_of_sewing) = (&watch.status, watch.status.clone());
+        let end = watch.end.clone();
         let telling = Telling {
             status: watch.status.clone(),
             events: watch.events.clone(),
@@ -210,7 +211,7 @@ impl Pipeline {
                 )
             })?),
             sewing: Some(spawn("sewing", status, move || {
-                surface::run(&surfaces_out, &live.surface, &status_of_sewing)
+                surface::run(&surfaces_out, &live.surface, &status_of_sewing, &end)
             })?),
             refine: spawn("refine", status, move || {
                 refine_stage::run(&refine, &scans_out, &outbox_of_refine)
@@ -349,6 +350,7 @@ fn fusion_setup(
         surfaces,
         folder: folder.path().to_owned(),
         shading: None,
+        stop: watch.stop.clone(),
     })
 }
 

@@ -181,6 +181,8 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
         warnings.push(format!("{unaccounted} frames are unaccounted for"));
     }
     warnings.extend(endings.fusion.refusal.clone());
+    let unimproved = endings.fusion.unimproved_reason.as_ref();
+    warnings.extend(unimproved.map(|reason| format!("base.ply is not improved: {reason}")));
     let whole = endings.refined.not_cropped_reason.as_ref();
     warnings.extend(whole.map(|reason| format!("base.ply is of the whole scene: {reason}")));
     warnings.extend_from_slice(&account.failures);

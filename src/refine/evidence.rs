@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// The residuals of a site go together over views and neighbours, which makes the data so many times too sure;
-/// `RefineParams::patch_sigma_m` is stated in the same units, as a fifth of depth's slow error.
+/// `RefineParams::patch_sigma_m` is stated in the same units, as two fifths of depth's slow error.
 const REDUNDANCY: f64 = 25.0;
 /// Below this coverage the prior knows more of a tilt than the images do.
 const WEAK_COVERAGE: f64 = 0.5;

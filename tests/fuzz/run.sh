@@ -14,11 +14,13 @@ export RUSTFLAGS="${passes[*]} -Ccodegen-units=1 --cfg fuzzing"
 # Naming the host's own target keeps the counters out of build scripts.
 ${CARGO:-cargo} build --release --locked --target "$host"
 mkdir -p artifacts logs
-targets=(kinect1_packets kinect2_packet recordings)
+targets=(kinect1_packets kinect2_packet recordings mcap_recordings)
+# A recording with the descriptions of its messages is longer than other inputs.
+declare -A longest=([mcap_recordings]=16384)
 fuzz() {
     mkdir -p "corpus/$1"
     "target/$host/release/$1" "corpus/$1" "seeds/$1" -len_control=0 -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 \
-        -max_len=4096 -artifact_prefix="artifacts/$1-" -print_final_stats=1 >"logs/$1" 2>&1
+        -max_len="${longest[$1]:-4096}" -artifact_prefix="artifacts/$1-" -print_final_stats=1 >"logs/$1" 2>&1
 }
 # All at once: each has one thread.
 jobs=()

@@ -10,6 +10,7 @@ use std::{
 const ALLOWED: &[(&str, &[&str])] = &[
     ("atomic_file", &[]),
     ("geometry", &[]),
+    ("lock", &[]),
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
     ("fusion", &["geometry", "shading"]),
@@ -28,7 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("devices", &[]),
     ("evaluate", &["geometry", "shading"]),
-    ("jobs", &["atomic_file", "pipeline"]),
+    ("jobs", &["atomic_file", "lock", "pipeline"]),
     (
         "config",
         &[
@@ -67,6 +68,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "export",
             "geometry",
             "atomic_file",
+            "lock",
         ],
     ),
 ];

@@ -44,7 +44,7 @@ fn the_program_says_who_set_what() {
     for line in [
         format!("fusion.voxel_size_m = 0.004  # {}:2", rig.display()),
         "refine.n_rounds = 3  # environment variable RELIEF_REFINE__N_ROUNDS".to_owned(),
-        "worker.nice = 10  # default".to_owned(),
+        "worker.nice = 19  # default".to_owned(),
     ] {
         assert!(
             lines.lines().any(|found| found == line),

@@ -44,6 +44,8 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
         let report = fs::read(out.join("report.json")).unwrap();
         let report: Value = serde_json::from_slice(&report).unwrap();
         assert_eq!(report["stopped_early"], true);
+        let warnings = report["warnings"].to_string();
+        assert!(warnings.contains("base.ply is not improved"), "{warnings}");
         let frames = &report["frames"];
         let count = |key: &str| frames[key].as_u64().unwrap();
         assert!(count("total") < 1800);

@@ -70,6 +70,17 @@ export async function look(page) {
   return image;
 }
 
+/** Waits until at least so many pixels of the view have a property: what is told is drawn a moment later. */
+export async function shows(page, has, least, what) {
+  const deadline = Date.now() + 30_000;
+  for (;;) {
+    const found = count(await look(page), has);
+    if (found >= least) return;
+    assert.ok(Date.now() < deadline, `${what}: ${found} of ${least} pixels`);
+    await page.waitForTimeout(200);
+  }
+}
+
 /** The policy forbids style sheets of the browser's driver, not styles set by a script. */
 function cover(page, visibility) {
   return page.locator('.stage-top, .stage-bottom, .hint, .divider, .divider input')

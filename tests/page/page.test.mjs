@@ -3,7 +3,7 @@
 
 import { strict as assert } from 'node:assert';
 import { after, before, test } from 'node:test';
-import { DESKTOP, PHONE, assertClean, count, differing, launch, look, openPage, rises, save, state } from './browser.mjs';
+import { DESKTOP, PHONE, assertClean, count, differing, launch, look, openPage, rises, save, shows, state } from './browser.mjs';
 import { standIn } from './stand_in.mjs';
 
 const DAEMON = process.env.RELIEF_PAGE_URL;
@@ -94,7 +94,7 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
     assert.match(await page.getByTestId('state-title').innerText(), /^Lost/);
     assert.notEqual(await page.getByTestId('state-advice').innerText(), '');
     await page.getByTestId('hint').getByText('Red:').waitFor();
-    assert.ok(count(await look(page), isGhost) > 20, 'the ghost is drawn');
+    await shows(page, isGhost, 20, 'the ghost is drawn');
     await save(page, 'lost');
     await state(page, ...SCANNING);
   });

@@ -25,8 +25,6 @@ pub struct ReplayCamera {
     depth_scale: DepthScale,
     moments: Vec<Moment>,
     next: usize,
-    /// Times that the recording was played to its end; `None` if it is played once.
-    n_repeats: Option<u64>,
     pacer: Pacer,
 }
 
@@ -59,7 +57,6 @@ impl ReplayCamera {
             depth_scale: session.depth_scale(),
             moments,
             next: 0,
-            n_repeats: None,
             pacer: Pacer::default(),
         })
     }
@@ -69,44 +66,6 @@ impl ReplayCamera {
         ReplayCamera {
             pacer: Pacer::new(pacing),
             ..self
-        }
-    }
-
-    /// The same recording, begun anew whenever it ends, so that it never does: numbers and times of frames go on rising.
-    pub fn repeating(self) -> Self {
-        let info = CameraInfo {
-            n_frames: None,
-            ..self.info
-        };
-        ReplayCamera {
-            info,
-            n_repeats: Some(0),
-            ..self
-        }
-    }
-
-    /// The next moment, with its number and its time in seconds, of all that is played.
-    fn upcoming(&mut self) -> Option<(u64, Moment)> {
-        if self.next == self.moments.len() {
-            self.n_repeats = Some(self.n_repeats? + 1);
-            self.next = 0;
-        }
-        let n_repeats = self.n_repeats.unwrap_or(0);
-        let mut moment = self.moments.get(self.next)?.clone();
-        moment.time_secs += n_repeats as f64 * self.period_secs();
-        let n_before = n_repeats * self.moments.len() as u64;
-        Some((n_before + self.next as u64, moment))
-    }
-
-    /// From one beginning to the next: the recording's length, and one mean interval between its last moment and its first.
-    fn period_secs(&self) -> f64 {
-        match (self.moments.first(), self.moments.last()) {
-            (Some(first), Some(last)) if self.moments.len() > 1 => {
-                let length = last.time_secs - first.time_secs;
-                length + length / (self.moments.len() - 1) as f64
-            }
-            // A single moment says nothing of its rate; this is a Kinect's.
-            _ => 1.0 / 30.0,
         }
     }
 
@@ -146,12 +105,13 @@ impl DepthCamera for ReplayCamera {
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
-        let Some((frame_id, moment)) = self.upcoming() else {
+        let Some(moment) = self.moments.get(self.next) else {
             return Ok(None);
         };
         self.pacer.wait_until_due(moment.time_secs, timeout)?;
+        let frame_id = self.next as u64;
         self.next += 1;
-        self.decode(frame_id, &moment)
+        self.decode(frame_id, moment)
             .map(Some)
             .map_err(|reason| CameraError::DamagedFrame { frame_id, reason })
     }

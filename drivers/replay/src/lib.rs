@@ -21,6 +21,7 @@ mod frame_check;
 mod lists;
 mod pacing;
 mod poses;
+mod repeat;
 mod sixteen_bit_png;
 mod writer;
 
@@ -32,6 +33,7 @@ pub use frame_check::check_frame;
 pub use lists::{Entry, Moment, SAME_MOMENT_SECS, merge_lists, read_list};
 pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
+pub use repeat::{Open, RepeatingCamera};
 pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile};
 pub use sixteen_bit_png::{PngEffort, decode as decode_png, read as read_png};
 pub use writer::{SessionWriter, write_png};

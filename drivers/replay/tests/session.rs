@@ -9,7 +9,9 @@ use std::{
 };
 
 use depth_camera::{CameraError, DepthCamera, Frame, Image};
-use replay::{Pacing, ReplayCamera, SessionWriter, WriteError, content_hash, read_poses};
+use replay::{
+    Pacing, RepeatingCamera, ReplayCamera, SessionWriter, WriteError, content_hash, read_poses,
+};
 use support::{play, tiny_camera, tiny_frame, write_tiny_session};
 
 #[test]
@@ -214,7 +216,9 @@ fn recorded_pace_times_out_until_a_frame_is_due() {
 fn a_repeated_session_goes_on_evenly() {
     let folder = tempfile::tempdir().unwrap();
     write_tiny_session(folder.path());
-    let mut camera = ReplayCamera::open(folder.path()).unwrap().repeating();
+    let path = folder.path().to_owned();
+    let open = move || Ok(Box::new(ReplayCamera::open(&path)?) as Box<dyn DepthCamera>);
+    let mut camera = RepeatingCamera::new(Box::new(open)).unwrap();
     assert_eq!(camera.info().n_frames, None);
     for frame_id in 0..8 {
         let frame = camera.grab(Duration::ZERO).unwrap().unwrap();

@@ -5,6 +5,7 @@ use super::super::{DepthNoise, FusionParams, eye::Eye, keyframes::Keyframes};
 use super::*;
 use crate::geometry::{increment, motion_between};
 use depth_camera::Sensor;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A swing whose poses drift evenly, by `drift` from frame to frame.
 fn drifted(n_frames: usize, drift: &Vector6<f64>) -> (Keyframes, Vec<Pose>, Eye) {
@@ -22,9 +23,18 @@ fn drifted(n_frames: usize, drift: &Vector6<f64>) -> (Keyframes, Vec<Pose>, Eye)
 }
 
 fn closed(keyframes: &Keyframes, eye: &Eye, params: &FusionParams) -> Option<ClosedLoops> {
+    closed_while(keyframes, eye, params, &|| true)
+}
+
+fn closed_while(
+    keyframes: &Keyframes,
+    eye: &Eye,
+    params: &FusionParams,
+    goes_on: &GoesOn,
+) -> Option<ClosedLoops> {
     let nothing_moved = PoseCorrection::default();
-    let (live, _) = fuse_again(keyframes.frames(), &nothing_moved, eye, params);
-    find(keyframes.frames(), eye, params, &live)
+    let (live, _) = fuse_again(keyframes.frames(), &nothing_moved, eye, params, &|| true);
+    find(keyframes.frames(), eye, params, &live, goes_on)
 }
 
 /// Fragments so short that a swing of few frames has several.
@@ -69,6 +79,32 @@ fn drift_is_taken_back_alike_on_any_number_of_threads() {
 fn a_scan_that_never_comes_back_is_left_alone() {
     let (keyframes, _, eye) = drifted(6, &Vector6::zeros());
     assert!(closed(&keyframes, &eye, &short_fragments()).is_none());
+}
+
+#[test]
+fn closing_loops_ends_wherever_it_is_told_to() {
+    let drift = Vector6::new(0.0004, 0.0003, 0.0, 0.0006, 0.0, 0.0004);
+    let (keyframes, _, eye) = drifted(18, &drift);
+    let n_asked = AtomicUsize::new(0);
+    let count = || {
+        n_asked.fetch_add(1, Ordering::Relaxed);
+        true
+    };
+    let params = short_fragments();
+    assert!(closed_while(&keyframes, &eye, &params, &count).is_some());
+    let n_all = n_asked.into_inner();
+    // Once a fragment, a pair, and a frame at least.
+    assert!(n_all > 6 + 15 + 18, "{n_all}");
+    for n in [0, 3, 10, n_all / 2, n_all - 10, n_all - 1] {
+        let left = AtomicUsize::new(n);
+        let ends = || {
+            let taken = |left: usize| left.checked_sub(1);
+            left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, taken)
+                .is_ok()
+        };
+        let closed = closed_while(&keyframes, &eye, &params, &ends);
+        assert!(closed.is_none(), "after {n} of {n_all}");
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::{durable::interruption, *};
 use crate::jobs::{JobState, scenes::scan};
 use fastrand::Rng;
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, thread, time::Duration};
 
 const MAX_RETRIES: u32 = 3;
 
@@ -21,8 +21,15 @@ fn request(digit: u32, scan: &str) -> Request<'_> {
     }
 }
 
+/// Opens a spool that was closed a moment ago: a process that another test is just starting may hold its lock until it runs.
 fn open(root: &Path) -> Spool {
-    Spool::open(root, MAX_RETRIES).unwrap()
+    for _ in 0..10_000 {
+        match Spool::open(root, MAX_RETRIES) {
+            Err(JobError::InUse(_)) => thread::sleep(Duration::from_millis(1)),
+            opened => return opened.unwrap(),
+        }
+    }
+    panic!("the spool stays in use")
 }
 
 /// The state of each job.

@@ -1,13 +1,18 @@
-//! The end of a scan: loops are closed, depth is corrected once more, and the base mesh is taken out of the volume.
+//! The end of a scan: loops are closed, depth is corrected once more, and the base mesh is taken out of the volume. A scan that
+//! is told to stop, and not only to end, is not improved: that may take as long as the scan took.
 
 use super::{FusedScan, FusionStage, FusionSummary};
 use crate::{
     capture::Tracked,
-    fusion::{LoopClosure, PoseCorrection},
+    fusion::{GoesOn, LoopClosure, PoseCorrection},
     pipeline::{state::State, status::Phase, timing::StageClock},
     snapshot::{SnapshotSelection, SnapshotSelector},
 };
 use std::sync::Arc;
+
+/// Why a scan was not improved at its end.
+const STOPPED: &str = "the run was told to stop: loops may be left open, and depth corrected no better than while the scan went on; \
+                       a recording of it can be played again";
 
 impl FusionStage {
     /// Closes loops and takes the mesh out of the volume, whose memory is free before refinement begins.
@@ -23,18 +28,21 @@ impl FusionStage {
         });
         if !self.trajectory.is_empty() {
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
-            self.revise(snapshots.as_mut());
+            let stop = self.stop.clone();
+            let goes_on = || !stop.is_stopped();
+            self.revise(snapshots.as_mut(), &goes_on);
             let closure = closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
-                pool.install(|| fusion.close_loops())
+                pool.install(|| fusion.close_loops(&goes_on))
             });
             if let Some(closure) = &closure {
                 tell_of(closure);
                 self.correct(&closure.correction, snapshots.as_mut());
             }
             if self.poses.is_none() {
-                self.settle(snapshots.as_mut());
+                self.settle(snapshots.as_mut(), &goes_on);
             }
+            self.summary.unimproved_reason = stop.is_stopped().then(|| STOPPED.to_owned());
             self.summary.refusal = self.fusion.refusal();
             let (fusion, pool) = (&self.fusion, &self.pool);
             let base = meshing_clock.time(|| pool.install(|| fusion.mesh()));
@@ -67,9 +75,10 @@ impl FusionStage {
     }
 
     /// Lets the shading images settle on the finished model.
-    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>, goes_on: &GoesOn) {
         let (fusion, pool) = (&mut self.fusion, &self.pool);
-        for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
+        let snapshots = snapshots.into_iter().flat_map(|s| &mut s.accepted);
+        for snapshot in snapshots.take_while(|_| goes_on()) {
             let settled =
                 pool.install(|| fusion.settle(&snapshot.depth_m, &snapshot.world_from_camera));
             if let Some(pose) = settled {
@@ -79,11 +88,11 @@ impl FusionStage {
     }
 
     /// Fuses the scan again if it tells of errors of its depth that were not taken off.
-    fn revise(&mut self, mut snapshots: Option<&mut SnapshotSelection>) {
+    fn revise(&mut self, mut snapshots: Option<&mut SnapshotSelection>, goes_on: &GoesOn) {
         let (correction, fusion, pool) = (&self.correction, &self.fusion, &self.pool);
         let revised = self
             .revision_clock
-            .time(|| pool.install(|| correction.revise(fusion)));
+            .time(|| pool.install(|| correction.revise(fusion, goes_on)));
         let Some(revised) = revised else {
             return;
         };

@@ -19,7 +19,7 @@ use super::{
     live::{Live, surface::SurfaceUpdate},
     losses::Losses,
     state::State,
-    status::StatusSlot,
+    status::{StatusSlot, StopToken},
     stop_depth::ShadingRequest,
     timing::StageClock,
 };
@@ -69,6 +69,8 @@ pub struct FusionSetup {
     pub folder: PathBuf,
     /// Asks the camera to stop depth for a shading image, where that is the strategy.
     pub shading: Option<ShadingRequest>,
+    /// Ends the scan with what is fused.
+    pub stop: StopToken,
 }
 
 /// A scan ready to be refined.
@@ -101,6 +103,8 @@ pub struct FusionSummary {
     pub losses: Losses,
     /// What of the scene found no place in the model.
     pub refusal: Option<String>,
+    /// Why the scan was not improved at its end; `None` if it was tried in full.
+    pub unimproved_reason: Option<String>,
     /// Length of the camera's path, metres.
     pub path_length_m: f64,
     /// The scan; `None` if nothing was fused.
@@ -174,6 +178,7 @@ struct FusionStage {
     polish: bool,
     pool: ThreadPool,
     status: StatusSlot,
+    stop: StopToken,
     tracked: TrackedSender,
     summary: FusionSummary,
     /// Times (s) and poses of all fused frames.
@@ -222,6 +227,7 @@ impl FusionStage {
             poses: setup.poses,
             pool: setup.pool,
             status: setup.status,
+            stop: setup.stop,
             tracked,
             summary: FusionSummary::default(),
             trajectory: Vec::new(),
@@ -236,14 +242,18 @@ impl FusionStage {
         }
     }
 
-    /// One frame: track and fuse it, tell what became of it, and consider it for shading.
+    /// One frame: track and fuse it, tell what became of it, and consider it for shading. One that is still on its way when the
+    /// scan is stopped is dropped: to look for a lost camera takes its time.
     fn handle(&mut self, frame: &Arc<Frame>) {
         self.note_gaps();
         self.last_frame_id = frame.frame_id;
         let saturated_share = self.saturated_share(frame);
-        let place = match self.operator.is_paused {
-            true => Place::Paused,
-            false => self.use_up(frame, saturated_share),
+        let place = if self.stop.is_stopped() {
+            Place::Dropped
+        } else if self.operator.is_paused {
+            Place::Paused
+        } else {
+            self.use_up(frame, saturated_share)
         };
         self.publish(frame, place, saturated_share);
         self.show(Some(frame));

@@ -6,7 +6,7 @@
 use super::{LiveSurface, Slot};
 use crate::{
     geometry::TriMesh,
-    pipeline::status::{MeshStatus, StatusSlot},
+    pipeline::status::{MeshStatus, StatusSlot, StopToken},
     snapshot::Coverage,
 };
 use crossbeam::channel::Receiver;
@@ -22,6 +22,8 @@ const MAX_FACES: usize = 1_500_000;
 /// Time at rest for each second of work, and how long that may be at most.
 const REST_SHARE: u32 = 3;
 const MAX_REST: Duration = Duration::from_secs(2);
+/// How often a thread at rest looks whether capture has ended.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// What has changed of the surface since the last update.
 #[derive(Clone, Debug, Default)]
@@ -36,8 +38,13 @@ pub struct SurfaceUpdate {
     pub coverage: Coverage,
 }
 
-/// Makes surfaces of updates until there are no more.
-pub fn run(updates: &Receiver<SurfaceUpdate>, slot: &Slot<LiveSurface>, status: &StatusSlot) {
+/// Makes surfaces of updates until there are no more; rests no longer once capture is to `end`.
+pub fn run(
+    updates: &Receiver<SurfaceUpdate>,
+    slot: &Slot<LiveSurface>,
+    status: &StatusSlot,
+    end: &StopToken,
+) {
     let mut sewing = Sewing::default();
     for update in updates {
         let start = Instant::now();
@@ -49,7 +56,14 @@ pub fn run(updates: &Receiver<SurfaceUpdate>, slot: &Slot<LiveSurface>, status: 
         };
         status.update(|status| status.mesh = Some(mesh));
         slot.write(Some(surface));
-        thread::sleep((start.elapsed() * REST_SHARE).min(MAX_REST));
+        rest((start.elapsed() * REST_SHARE).min(MAX_REST), end);
+    }
+}
+
+fn rest(duration: Duration, end: &StopToken) {
+    let start = Instant::now();
+    while start.elapsed() < duration && !end.is_stopped() {
+        thread::sleep(LOOK.min(duration));
     }
 }
 
