@@ -1,5 +1,6 @@
 //! Live devices: the program and the pipeline on the unmodified libfreenect, with a stand-in for libusb beneath it.
 
+mod daemon;
 mod recording;
 mod scan;
 mod several;
