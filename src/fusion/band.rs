@@ -209,6 +209,10 @@ struct Sample<'a> {
 impl WithSimd for Sample<'_> {
     type Output = [[i32; LANES]; 3];
 
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> [[i32; LANES]; 3] {
         let Sample { band, rays, .. } = self;

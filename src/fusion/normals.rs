@@ -63,6 +63,10 @@ impl WithSimd for NormalsRow<'_> {
 
 impl NormalsRow<'_> {
     /// Normals of `LANES` pixels from the one after column `first` on.
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
     #[inline(always)]
     fn normals(&self, first: usize) -> [Lane; 3] {
         // Points of the neighbours in both directions, and of the pixels themselves.
