@@ -1,8 +1,9 @@
 //! Normals of a level by central differences.
 
+use super::lanes::{LANES, Lane};
 use super::noise::DepthNoise;
 use super::preprocess::{SAME_SURFACE_SIGMAS, rows_round};
-use super::pyramid::Level;
+use super::pyramid::{Level, lane};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -44,13 +45,36 @@ impl WithSimd for NormalsRow<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with_simd<S: Simd>(mut self, _: S) {
         let n = self.depth[1].len() - 2;
-        // Points of the neighbours in both directions, and of the pixel itself.
-        let [up, centre, down] = [0, 1, 2].map(|v| Points::of(&self, v, 1, n));
-        let [left, right] = [0, 2].map(|u| Points::of(&self, 1, u, n));
-        let [out_x, out_y, out_z] = self.out.map(|plane| &mut plane[1..n + 1]);
-        for u in 0..n {
+        for first in (0..n).step_by(LANES) {
+            let normals = self.normals(first);
+            let n = LANES.min(n - first);
+            for (out, normal) in self.out.iter_mut().zip(&normals) {
+                let out = &mut out[first + 1..][..n];
+                match out.first_chunk_mut() {
+                    Some(out) => *out = *normal,
+                    None => out.copy_from_slice(&normal[..n]),
+                }
+            }
+        }
+    }
+}
+
+impl NormalsRow<'_> {
+    /// Normals of `LANES` pixels from the one after column `first` on.
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
+    #[inline(always)]
+    fn normals(&self, first: usize) -> [Lane; 3] {
+        // Points of the neighbours in both directions, and of the pixels themselves.
+        let (up, down) = (self.points(0, first + 1), self.points(2, first + 1));
+        let (left, right) = (self.points(1, first), self.points(1, first + 2));
+        let centre = self.points(1, first + 1);
+        let mut normals = [[0.0; LANES]; 3];
+        for u in 0..LANES {
             let (z, z_up, z_down) = (centre.z[u], up.z[u], down.z[u]);
             let (z_left, z_right) = (left.z[u], right.z[u]);
             let hx = right.x[u] * z_right - left.x[u] * z_left;
@@ -63,40 +87,36 @@ impl WithSimd for NormalsRow<'_> {
             let (across, along) = (hx.abs(), vy.abs());
             let pitch = if across > along { across } else { along };
             let reach = SAME_SURFACE_SIGMAS * self.noise.sigma_m(z) + 2.5 * pitch;
-            let same = |other: f32| (other > 0.0) & ((other - z).abs() < reach);
+            let mut same = true;
+            for other in [z_up, z_left, z_right, z_down] {
+                same &= (other > 0.0) & ((other - z).abs() < reach);
+            }
             let (nx, ny, nz) = (vy * hz - vz * hy, vz * hx - vx * hz, vx * hy - vy * hx);
             let length = (nx * nx + ny * ny + nz * nz).sqrt();
             let facing = nx * centre.x[u] + ny * centre.y[u] + nz;
-            let valid = (z > 0.0)
-                & same(z_up)
-                & same(z_left)
-                & same(z_right)
-                & same(z_down)
-                & (length > 1e-12)
-                & (facing < 0.0)
-                & (nz < 0.0);
+            let valid = (z > 0.0) & same & (length > 1e-12) & (facing < 0.0) & (nz < 0.0);
             let scale = 1.0 / length;
-            out_x[u] = if valid { nx * scale } else { 0.0 };
-            out_y[u] = if valid { ny * scale } else { 0.0 };
-            out_z[u] = if valid { nz * scale } else { 0.0 };
+            normals[0][u] = if valid { nx * scale } else { 0.0 };
+            normals[1][u] = if valid { ny * scale } else { 0.0 };
+            normals[2][u] = if valid { nz * scale } else { 0.0 };
         }
+        normals
     }
-}
 
-/// Rays and depths of `n` pixels of a row.
-struct Points<'a> {
-    x: &'a [f32],
-    y: &'a [f32],
-    z: &'a [f32],
-}
-
-impl<'a> Points<'a> {
+    /// Rays and depths of `LANES` pixels of a row from column `first` on.
     #[inline(always)]
-    fn of(rows: &NormalsRow<'a>, v: usize, first: usize, n: usize) -> Self {
+    fn points(&self, row: usize, first: usize) -> Points {
         Points {
-            x: &rows.ray_x[v][first..first + n],
-            y: &rows.ray_y[v][first..first + n],
-            z: &rows.depth[v][first..first + n],
+            x: lane(self.ray_x[row], first),
+            y: lane(self.ray_y[row], first),
+            z: lane(self.depth[row], first),
         }
     }
+}
+
+/// Rays and depths of some pixels.
+struct Points {
+    x: Lane,
+    y: Lane,
+    z: Lane,
 }

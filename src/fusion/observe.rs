@@ -2,10 +2,10 @@
 
 use super::band_ends::{self, BandEnds, TILE};
 use super::block::WEIGHT_ONE;
-use super::lanes::round_bits;
+use super::lanes::{LANES, Lane, round_bits};
 use super::noise::DepthNoise;
 use super::preprocess::SAME_SURFACE_SIGMAS;
-use super::pyramid::{FramePyramid, Level};
+use super::pyramid::{FramePyramid, Level, lane};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -248,26 +248,56 @@ impl WithSimd for FullRow<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let reference = self.noise.sigma_m(REFERENCE_DEPTH_M);
-        let pairs = self.out.as_chunks_mut::<2>().0.iter_mut();
-        let inputs = self
-            .depth
-            .as_chunks::<2>()
-            .0
-            .iter()
-            .zip(self.half)
-            .zip(self.half_depth);
-        for (out, ((depth, &half), &half_depth)) in pairs.zip(inputs) {
-            for (out, &z) in out.iter_mut().zip(depth) {
-                let sigma_m = self.noise.sigma_m(z);
-                let reach = SAME_SURFACE_SIGMAS * sigma_m + 2.5 * self.pitch * z;
-                let ratio = reference / sigma_m;
-                let rim = pack(RIM_WEIGHT * ratio * ratio, 1.0);
-                let on_surface = (half != 0) & ((z - half_depth).abs() < reach);
-                let packed = if on_surface { half } else { rim };
-                *out = self.step.join(z, packed);
+    fn with_simd<S: Simd>(mut self, _: S) {
+        let out = std::mem::take(&mut self.out);
+        let parts = out.chunks_mut(2 * LANES).zip(self.depth.chunks(2 * LANES));
+        for (part, (out, depth)) in parts.enumerate() {
+            let half = self.half[part * LANES..].first_chunk::<LANES>();
+            let half_depth = self.half_depth[part * LANES..].first_chunk::<LANES>();
+            match (out.first_chunk_mut(), depth.first_chunk(), half, half_depth) {
+                (Some(out), Some(depth), Some(half), Some(half_depth)) => {
+                    *out = self.pixels(depth, half, half_depth);
+                }
+                _ => {
+                    let first = part * LANES;
+                    let cells = first..first + out.len() / 2;
+                    let mut padded = [0.0; 2 * LANES];
+                    padded[..depth.len()].copy_from_slice(depth);
+                    let mut half = [0; LANES];
+                    half[..cells.len()].copy_from_slice(&self.half[cells]);
+                    let pixels = self.pixels(&padded, &half, &lane(self.half_depth, first));
+                    out.copy_from_slice(&pixels[..out.len()]);
+                }
             }
         }
+    }
+}
+
+impl FullRow<'_> {
+    /// The observations of two lanes of pixels, over one of the half image.
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
+    #[inline(always)]
+    fn pixels(
+        &self,
+        depth: &[f32; 2 * LANES],
+        half: &[u32; LANES],
+        half_depth: &Lane,
+    ) -> [Observation; 2 * LANES] {
+        let reference = self.noise.sigma_m(REFERENCE_DEPTH_M);
+        let mut pixels = [0; 2 * LANES];
+        for i in 0..2 * LANES {
+            let (z, half, half_depth) = (depth[i], half[i / 2], half_depth[i / 2]);
+            let sigma_m = self.noise.sigma_m(z);
+            let reach = SAME_SURFACE_SIGMAS * sigma_m + 2.5 * self.pitch * z;
+            let ratio = reference / sigma_m;
+            let rim = pack(RIM_WEIGHT * ratio * ratio, 1.0);
+            let on_surface = (half != 0) & ((z - half_depth).abs() < reach);
+            let packed = if on_surface { half } else { rim };
+            pixels[i] = self.step.join(z, packed);
+        }
+        pixels
     }
 }

@@ -1,6 +1,7 @@
 //! Depth images in memory at about a byte a pixel: steps of the sensor's precision, differences along the rows, runs of
 //! missing pixels.
 
+use super::lanes::{LANES, floor};
 use depth_camera::Image;
 
 /// Depth is kept in steps of 0.1 mm, a tenth of the least depth noise (1.2 mm), or of what 16 bits allow.
@@ -27,20 +28,23 @@ impl PackedDepth {
     pub fn pack(depth: &[f32], width: usize, far_m: f32) -> Self {
         let step_m = FINEST_STEP_M.max(far_m / u16::MAX as f32);
         let mut codes = Vec::with_capacity(depth.len());
-        let (mut before, mut gap) = (0i32, 0u16);
-        for &z in depth {
-            let value = (z / step_m + 0.5) as u16;
-            if value == 0 && gap < u16::MAX {
-                gap += 1;
-                continue;
+        let (mut before, mut gap) = (0, 0);
+        for depth in depth.chunks(LANES) {
+            let mut values = [0; LANES];
+            for (value, &z) in values.iter_mut().zip(depth) {
+                *value = floor(z / step_m + 0.5);
             }
-            close_gap(&mut codes, &mut gap);
-            let difference = i32::from(value) - before + DIFFERENCE_BIAS;
-            match u8::try_from(difference) {
-                Ok(code) if code <= LAST_DIFFERENCE => codes.push(code),
-                _ => push_pair(&mut codes, WHOLE, value),
+            match small_differences(before, &values) {
+                Some(differences) if gap == 0 && depth.len() == LANES => {
+                    codes.extend_from_slice(&differences);
+                    before = values[LANES - 1];
+                }
+                _ => {
+                    for &value in &values[..depth.len()] {
+                        push(&mut codes, value, &mut before, &mut gap);
+                    }
+                }
             }
-            before = i32::from(value);
         }
         close_gap(&mut codes, &mut gap);
         codes.shrink_to_fit();
@@ -76,6 +80,34 @@ impl PackedDepth {
     pub fn memory_bytes(&self) -> usize {
         self.codes.capacity()
     }
+}
+
+/// The codes of a stretch without gaps or leaps; `None` if it has any.
+#[inline(always)]
+fn small_differences(before: i32, values: &[i32; LANES]) -> Option<[u8; LANES]> {
+    let (mut codes, mut all_small) = ([0; LANES], true);
+    let mut previous = [before; LANES];
+    previous[1..].copy_from_slice(&values[..LANES - 1]);
+    for i in 0..LANES {
+        let code = (values[i] - previous[i] + DIFFERENCE_BIAS) as u32;
+        all_small &= (code <= u32::from(LAST_DIFFERENCE)) & (values[i] > 0);
+        codes[i] = code as u8;
+    }
+    all_small.then_some(codes)
+}
+
+/// Appends one value, with what is to be told of the missing pixels before it; 0 is missing itself.
+fn push(codes: &mut Vec<u8>, value: i32, before: &mut i32, gap: &mut u16) {
+    if value == 0 && *gap < u16::MAX {
+        *gap += 1;
+        return;
+    }
+    close_gap(codes, gap);
+    match u8::try_from(value - *before + DIFFERENCE_BIAS) {
+        Ok(code) if code <= LAST_DIFFERENCE => codes.push(code),
+        _ => push_pair(codes, WHOLE, value as u16),
+    }
+    *before = value;
 }
 
 fn close_gap(codes: &mut Vec<u8>, gap: &mut u16) {

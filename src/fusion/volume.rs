@@ -106,7 +106,13 @@ impl TsdfVolume {
     /// The block that holds a point (m).
     #[inline(always)]
     pub fn block_of(&self, point: [f32; 3]) -> BlockCoord {
-        point.map(|x| floor(x * self.inv_block))
+        point.map(|x| self.block_coord(x))
+    }
+
+    /// The same for one coordinate.
+    #[inline(always)]
+    pub fn block_coord(&self, x: f32) -> i32 {
+        floor(x * self.inv_block)
     }
 
     /// Whether block coordinates lie within the volume.
