@@ -77,7 +77,7 @@ pub fn align(
             let equations = equations(arch, level, &target);
             let step = equations.solve(&world_from_camera.translation.vector)?;
             world_from_camera = step * world_from_camera;
-            if is_within(&step, ENOUGH) {
+            if is_small(&step) {
                 break;
             }
         }
@@ -85,18 +85,9 @@ pub fn align(
     Some(world_from_camera)
 }
 
-/// After a step below this (m and rad) the next level goes on: the signed distances, which have the last word, need a
-/// start within their truncation distance, ten times this with the smallest voxels.
-const ENOUGH: f64 = 2e-4;
-
 /// A step below 10 µm and 10 µrad: the next level, or the next frame, sees more.
 pub fn is_small(step: &Pose) -> bool {
-    is_within(step, 1e-5)
-}
-
-/// Whether a step is below a length (m) and an angle (rad) of the same size.
-fn is_within(step: &Pose, size: f64) -> bool {
-    step.translation.vector.norm() < size && step.rotation.angle() < size
+    step.translation.vector.norm() < 1e-5 && step.rotation.angle() < 1e-5
 }
 
 /// Points this many truncation distances behind the model's surface count as seen through it.
