@@ -3,11 +3,18 @@
 use crate::export::StageTiming;
 use std::{fs, time::Instant};
 
+/// Times that are kept for the median at most: 32 KiB, however long a scan goes on.
+const MAX_KEPT: usize = 4096;
+
 /// Measures one stage.
 #[derive(Clone, Debug)]
 pub struct StageClock {
     name: &'static str,
-    runs_secs: Vec<f64>,
+    n: u64,
+    total_secs: f64,
+    /// Of one run in `stride`, evenly spread over all.
+    kept_secs: Vec<f64>,
+    stride: u64,
 }
 
 impl StageClock {
@@ -15,7 +22,10 @@ impl StageClock {
     pub fn new(name: &'static str) -> Self {
         StageClock {
             name,
-            runs_secs: Vec::new(),
+            n: 0,
+            total_secs: 0.0,
+            kept_secs: Vec::new(),
+            stride: 1,
         }
     }
 
@@ -23,19 +33,35 @@ impl StageClock {
     pub fn time<T>(&mut self, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
-        self.runs_secs.push(start.elapsed().as_secs_f64());
+        self.note(start.elapsed().as_secs_f64());
         result
     }
 
-    /// What was measured; `None` if the stage never ran.
+    fn note(&mut self, secs: f64) {
+        if self.n.is_multiple_of(self.stride) {
+            self.kept_secs.push(secs);
+        }
+        self.n += 1;
+        self.total_secs += secs;
+        if self.kept_secs.len() > MAX_KEPT {
+            let mut index = 0;
+            self.kept_secs.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.stride *= 2;
+        }
+    }
+
+    /// What was measured, the median from the runs that are kept; `None` if the stage never ran.
     pub fn timing(&self) -> Option<StageTiming> {
-        let mut sorted = self.runs_secs.clone();
+        let mut sorted = self.kept_secs.clone();
         sorted.sort_unstable_by(f64::total_cmp);
         let median_secs = sorted.get(sorted.len() / 2)?;
         Some(StageTiming {
             name: self.name.to_owned(),
-            total_secs: sorted.iter().sum(),
-            n: sorted.len() as u64,
+            total_secs: self.total_secs,
+            n: self.n,
             median_ms: 1e3 * median_secs,
         })
     }
@@ -66,9 +92,25 @@ mod tests {
     fn the_median_is_that_of_the_runs() {
         let mut clock = StageClock::new("stage");
         assert_eq!(clock.timing(), None);
-        clock.runs_secs = vec![0.3, 0.1, 0.2];
+        [0.3, 0.1, 0.2].iter().for_each(|&secs| clock.note(secs));
         let timing = clock.timing().unwrap();
         assert_eq!((timing.n, timing.median_ms), (3, 200.0));
         assert!((timing.total_secs - 0.6).abs() < 1e-12);
+    }
+
+    #[test]
+    fn memory_stays_bounded_over_hours_and_all_runs_are_counted() {
+        let mut clock = StageClock::new("stage");
+        let n = 100_000u32;
+        for run in 0..n {
+            clock.note(f64::from(run));
+            assert!(clock.kept_secs.len() <= MAX_KEPT);
+        }
+        let timing = clock.timing().unwrap();
+        let all = f64::from(n);
+        assert_eq!(timing.n, u64::from(n));
+        assert_eq!(timing.total_secs, 0.5 * all * (all - 1.0));
+        let off = timing.median_ms / (1e3 * 0.5 * all) - 1.0;
+        assert!(off.abs() < 1e-3, "{off}");
     }
 }

@@ -9,7 +9,7 @@ use super::exposures::{Agreeing, Exposure, agreeing, saturated_share};
 use super::guide::{Guidance, Guide};
 use super::information::{Optics, ViewInformation, view_information};
 use super::pool::Pool;
-use super::rejection::{RejectReason, Rejection};
+use super::rejection::{RejectReason, Rejection, Rejections};
 use super::speckle::{Texture, texture};
 use super::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
 use crate::fusion::{ModelMap, TrackingOutcome};
@@ -28,7 +28,7 @@ pub(super) struct ShadingSequence {
     /// The group that is open.
     exposures: Vec<Exposure>,
     pool: Pool,
-    rejected: Vec<Rejection>,
+    rejected: Rejections,
     guide: Guide,
     /// Whether the operator asked for the next group.
     is_requested: bool,
@@ -49,7 +49,7 @@ impl ShadingSequence {
             params,
             before: None,
             exposures: Vec::new(),
-            rejected: Vec::new(),
+            rejected: Rejections::default(),
             guide: Guide::default(),
             is_requested: false,
         }
@@ -98,7 +98,7 @@ impl ShadingSequence {
         &self.pool
     }
 
-    pub(super) fn rejected(&self) -> &[Rejection] {
+    pub(super) fn rejected(&self) -> &Rejections {
         &self.rejected
     }
 
@@ -140,10 +140,9 @@ impl ShadingSequence {
         let (n, min_gain_share) = self.bounds();
         let (accepted, outdone) = self.pool.choose(n, min_gain_share);
         self.rejected.extend(outdone);
-        self.rejected.sort_by_key(|rejection| rejection.frame_id);
         SnapshotSelection {
             accepted,
-            rejected: self.rejected,
+            rejected: self.rejected.by_frame(),
         }
     }
 
@@ -284,7 +283,7 @@ impl ShadingSequence {
     }
 
     fn reject(&mut self, frame_id: u64, reason: RejectReason) {
-        self.rejected.push(Rejection { frame_id, reason });
+        self.rejected.extend([Rejection { frame_id, reason }]);
     }
 }
 

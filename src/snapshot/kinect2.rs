@@ -3,7 +3,7 @@
 use super::exposures::saturated_share;
 use super::information::{Optics, ViewInformation, view_information};
 use super::pool::Pool;
-use super::rejection::{RejectReason, Rejection};
+use super::rejection::{RejectReason, Rejection, Rejections};
 use super::{ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
 use crate::fusion::TrackingOutcome;
 use crate::geometry::{Pose, motion_between};
@@ -16,7 +16,7 @@ pub(super) struct EmitterStream {
     params: SnapshotParams,
     pool: Pool,
     last: Option<Placed>,
-    rejected: Vec<Rejection>,
+    rejected: Rejections,
     /// Whether the operator asked for the next good frame.
     is_requested: bool,
 }
@@ -35,7 +35,7 @@ impl EmitterStream {
             pool: Pool::new(2 * params.max_snapshots),
             params,
             last: None,
-            rejected: Vec::new(),
+            rejected: Rejections::default(),
             is_requested: false,
         }
     }
@@ -60,7 +60,7 @@ impl EmitterStream {
         &self.pool
     }
 
-    pub(super) fn rejected(&self) -> &[Rejection] {
+    pub(super) fn rejected(&self) -> &Rejections {
         &self.rejected
     }
 
@@ -90,10 +90,9 @@ impl EmitterStream {
         let (n, min_gain_share) = self.bounds();
         let (accepted, outdone) = self.pool.choose(n, min_gain_share);
         self.rejected.extend(outdone);
-        self.rejected.sort_by_key(|rejection| rejection.frame_id);
         SnapshotSelection {
             accepted,
-            rejected: self.rejected,
+            rejected: self.rejected.by_frame(),
         }
     }
 

@@ -6,8 +6,8 @@
 //! sequence is recognised from the images, and its exposures are averaged. What a view is worth is its *information*: the
 //! tilts of the surface that change its brightness, see `information.rs`.
 //!
-//! Pure: frames in, a selection out; memory is bounded by [`SnapshotParams::max_snapshots`] but for one line per rejected
-//! frame and one per 20 mm of surface and side that it was lit from. Not handled: ambient IR, a lamp that is moved by hand, IR that is not aligned with
+//! Pure: frames in, a selection out; memory is bounded by [`SnapshotParams::max_snapshots`] but for one line per 20 mm of
+//! surface and side that it was lit from. Not handled: ambient IR, a lamp that is moved by hand, IR that is not aligned with
 //! depth.
 
 mod kinect1;
@@ -35,7 +35,7 @@ pub use exposures::{SATURATION, saturated_share};
 pub use guide::Guidance;
 pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
-pub use rejection::{RejectReason, Rejection};
+pub use rejection::{RejectReason, Rejection, Rejections};
 pub use speckle::{Texture, texture};
 
 use crate::fusion::{ModelMap, TrackingOutcome};
@@ -78,7 +78,7 @@ pub struct TrackedFrame<'a> {
 pub struct SnapshotSelection {
     /// The shading images, in order of time.
     pub accepted: Vec<ShadingSnapshot>,
-    /// The IR frames that are not among them, in order of their number.
+    /// The newest of the IR frames that are not among them, in order of their number: see [`Rejections`].
     pub rejected: Vec<Rejection>,
 }
 

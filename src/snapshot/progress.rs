@@ -5,7 +5,7 @@ use super::exposures::saturated_share;
 use super::guide::Guidance;
 use super::next_view::{Viewpoint, next_viewpoint};
 use super::pool::Pool;
-use super::rejection::{RejectReason, Rejection};
+use super::rejection::{RejectReason, Rejections};
 use super::{Method, ShadingSnapshot, SnapshotSelection, SnapshotSelector};
 use crate::fusion::ModelMap;
 use crate::geometry::Pose;
@@ -44,8 +44,8 @@ impl SnapshotSelector {
         }
     }
 
-    /// The frames that are no shading images so far, in the order in which that was found.
-    pub fn rejected(&self) -> &[Rejection] {
+    /// The frames that are no shading images so far.
+    pub fn rejected(&self) -> &Rejections {
         match &self.method {
             Method::Sequence(sequence) => sequence.rejected(),
             Method::Stream(stream) => stream.rejected(),

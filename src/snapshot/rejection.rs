@@ -13,6 +13,53 @@ pub struct Rejection {
     pub reason: RejectReason,
 }
 
+/// Rejections that are remembered at most, 320 KiB; when there are so many, the older half is forgotten.
+const MAX_REMEMBERED: usize = 8192;
+
+/// The IR frames of a scan that are no shading images: how many, and the newest of them.
+#[derive(Clone, Debug, Default)]
+pub struct Rejections {
+    /// In the order in which that was found.
+    newest: Vec<Rejection>,
+    n_forgotten: usize,
+}
+
+impl Rejections {
+    /// How many there were in all.
+    pub fn count(&self) -> usize {
+        self.n_forgotten + self.newest.len()
+    }
+
+    /// Those that are remembered, in the order in which that was found.
+    pub fn newest(&self) -> &[Rejection] {
+        &self.newest
+    }
+
+    /// Those that are remembered without the first `n` of all.
+    pub fn after(&self, n: usize) -> &[Rejection] {
+        let n_known = n.saturating_sub(self.n_forgotten).min(self.newest.len());
+        &self.newest[n_known..]
+    }
+
+    /// Those that are remembered, in order of the frames.
+    pub(super) fn by_frame(mut self) -> Vec<Rejection> {
+        self.newest.sort_by_key(|rejection| rejection.frame_id);
+        self.newest
+    }
+}
+
+impl Extend<Rejection> for Rejections {
+    fn extend<T: IntoIterator<Item = Rejection>>(&mut self, rejections: T) {
+        for rejection in rejections {
+            if self.newest.len() == MAX_REMEMBERED {
+                self.newest.drain(..MAX_REMEMBERED / 2);
+                self.n_forgotten += MAX_REMEMBERED / 2;
+            }
+            self.newest.push(rejection);
+        }
+    }
+}
+
 /// What speaks against an IR frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "reason", rename_all = "snake_case")]
@@ -191,6 +238,27 @@ impl fmt::Display for RejectReason {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_newest_rejections_are_remembered_and_all_are_counted() {
+        let mut rejections = Rejections::default();
+        let n_rejected = 3 * MAX_REMEMBERED;
+        for frame in 0..n_rejected {
+            rejections.extend([Rejection {
+                frame_id: frame as u64,
+                reason: RejectReason::NotTracked,
+            }]);
+            let [only] = rejections.after(frame) else {
+                panic!("one is new");
+            };
+            assert_eq!(only.frame_id, frame as u64);
+            assert!(rejections.newest().len() <= MAX_REMEMBERED);
+        }
+        assert_eq!(rejections.count(), n_rejected);
+        assert_eq!(rejections.after(0), rejections.newest());
+        assert!(rejections.after(n_rejected).is_empty());
+        assert!(rejections.by_frame().len() >= MAX_REMEMBERED / 2);
+    }
 
     #[test]
     fn reasons_are_told_with_their_figures() {

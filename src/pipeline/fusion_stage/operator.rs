@@ -108,7 +108,8 @@ impl FusionStage {
             return;
         }
         selector.request(false);
-        let last = selector.rejected().last().map(|rejection| rejection.reason);
+        let newest = selector.rejected().newest().last();
+        let last = newest.map(|rejection| rejection.reason);
         let reason = last.map_or_else(
             || "no infrared image came".to_owned(),
             |last| format!("{last}. {}", last.advice()),

@@ -15,7 +15,7 @@ use crate::{
             surface::SurfaceUpdate,
         },
     },
-    snapshot::{Coverage, Rejection},
+    snapshot::{Coverage, Rejections},
 };
 use crossbeam::channel::Sender;
 use depth_camera::Frame;
@@ -71,7 +71,7 @@ impl Showing {
     }
 
     /// Takes in what the selector of shading images said of a frame.
-    pub(super) fn note(&mut self, frame: &Frame, rejected: &[Rejection]) {
+    pub(super) fn note(&mut self, frame: &Frame, rejected: &Rejections) {
         let is_watched = self.live.snapshots.is_watched();
         let full_scale = self.full_scale.filter(|_| is_watched);
         self.snapshots.note(frame, rejected, full_scale);

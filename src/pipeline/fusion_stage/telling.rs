@@ -39,7 +39,7 @@ impl FusionStage {
             is_paused: self.operator.is_paused,
             is_snapshotting: selector.is_some_and(|s| s.is_requested() || s.is_exposing()),
         };
-        let counts = selector.map(|s| (s.n_accepted(), s.rejected().len()));
+        let counts = selector.map(|s| (s.n_accepted(), s.rejected().count()));
         let guidance = selector.and_then(SnapshotSelector::guidance);
         let mut state = State::default();
         self.status.update(|status| {

@@ -4,7 +4,7 @@ use super::{
     LiveSnapshot, Preview,
     preview::{THUMBNAIL_COLUMNS, of_infrared},
 };
-use crate::snapshot::{RejectReason, Rejection, SnapshotSelector};
+use crate::snapshot::{RejectReason, Rejection, Rejections, SnapshotSelector};
 use depth_camera::{Frame, Image};
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -26,9 +26,9 @@ pub struct SnapshotList {
 
 impl SnapshotList {
     /// Looks at what the selector said of a frame. Pictures are made only while somebody looks.
-    pub fn note(&mut self, frame: &Frame, rejected: &[Rejection], full_scale: Option<f64>) {
-        let new = rejected.get(self.n_noted..).unwrap_or_default();
-        self.n_noted = rejected.len();
+    pub fn note(&mut self, frame: &Frame, rejected: &Rejections, full_scale: Option<f64>) {
+        let new = rejected.after(self.n_noted);
+        self.n_noted = rejected.count();
         for rejection in new.iter().filter(|rejection| is_told(&rejection.reason)) {
             let is_own = rejection.frame_id == frame.frame_id;
             let picture = frame.ir.as_ref().zip(full_scale).filter(|_| is_own);
@@ -135,7 +135,7 @@ mod tests {
         let camera = SimulatedCamera::kinect2_plaque(1, 0);
         let selector = SnapshotSelector::new(camera.info(), SnapshotParams::default()).unwrap();
         let mut list = SnapshotList::default();
-        let mut rejected = Vec::new();
+        let mut rejected = Rejections::default();
         for frame_id in 0..200 {
             let reason = match frame_id {
                 0..10 => RejectReason::NotTracked,
@@ -143,7 +143,7 @@ mod tests {
                 _ if frame_id % 2 == 0 => RejectReason::NoInformation,
                 _ => RejectReason::NoDepth,
             };
-            rejected.push(rejection(frame_id, reason));
+            rejected.extend([rejection(frame_id, reason)]);
             let frame = Frame {
                 frame_id,
                 device_time_secs: 0.0,

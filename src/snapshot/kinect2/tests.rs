@@ -157,7 +157,7 @@ fn an_image_that_is_asked_for_waits_for_a_good_frame() {
     // Saturated: the gates of quality hold for what is asked for too.
     observe(&mut selector, 1, 65_535);
     assert!(selector.is_requested());
-    let last = selector.rejected().last().map(|r| r.reason.code());
+    let last = selector.rejected().newest().last().map(|r| r.reason.code());
     assert_eq!(last, Some("saturated"));
     observe(&mut selector, 2, 20_000);
     assert!(!selector.is_requested());
