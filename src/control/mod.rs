@@ -53,6 +53,7 @@ mod watchdog;
 
 pub use camera_source::CameraSource;
 pub use daemon::{DaemonError, DaemonSetup, run as run_daemon};
+pub use http::Wish;
 pub use operate::{ControlError, operate, until_stopped};
 pub use progress::{Progress, ProgressStyle};
 pub use settings::SettingsPlaces;
