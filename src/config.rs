@@ -14,12 +14,14 @@ mod calibration;
 mod calibration_file;
 mod calibration_key;
 mod calibration_merge;
+mod control_params;
 mod device_params;
 
 pub use calibration::{CalibrationPlaces, CalibrationSource, FoundCalibration, find_calibration};
 pub use calibration_file::{DeviceCalibration, MeasuredLight};
 pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
+pub use control_params::ControlParams;
 pub use device_params::params_for_device;
 pub use layer_places::LayerPlaces;
 pub use layers::LayeredConfig;
@@ -76,6 +78,8 @@ pub struct Config {
     pub refine: RefineParams,
     /// The daemon's refinement worker.
     pub worker: WorkerParams,
+    /// How the daemon is reached.
+    pub control: ControlParams,
 }
 
 /// What the command line says; `None` leaves the value of the layers below.
@@ -119,7 +123,8 @@ impl Config {
         self.snapshot.validate()?;
         self.object.validate()?;
         self.refine.validate()?;
-        self.worker.validate()
+        self.worker.validate()?;
+        self.control.validate()
     }
 }
 

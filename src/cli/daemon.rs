@@ -29,7 +29,8 @@ pub struct RunArgs {
     /// Data directory, of one daemon at a time; $STATE_DIRECTORY, $XDG_STATE_HOME/relief or ~/.local/state/relief without it
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
-    /// Where to listen: an address of this machine alone. A socket from the service manager comes first
+    /// Where to listen; beyond this machine only with --require-token and a certificate in the configuration. A socket from the
+    /// service manager comes first
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8047")]
     pub listen: SocketAddr,
     /// Ask every request for the token in DATA/token, as Bearer or as the password that browsers ask for

@@ -4,7 +4,7 @@ use super::{
     camera_source::CameraSource,
     data_folder::{DataFolder, DataFolderError},
     http::{Acceptor, Access, App, router},
-    listen::{ListenError, listen},
+    listen::{ListenError, Protection, listen},
     observer::Observer,
     settings::{Settings, SettingsPlaces},
     signals::{self, Ask, DaemonSignals},
@@ -86,6 +86,8 @@ pub enum DaemonError {
 /// If configuration, data directory, camera or address cannot be used.
 pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
     let settings = Settings::read(setup.places)?;
+    let protection = Protection::of(&settings.config().control, setup.requires_token)
+        .map_err(ListenError::from)?;
     let data = match setup.data {
         Some(root) => DataFolder::open(&root)?,
         None => DataFolder::open(&DataFolder::conventional()?)?,
@@ -93,9 +95,10 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
     mend_recordings(&data.sessions());
     // A camera that makes no sense is told of now, not at the first scan.
     setup.source.check()?;
-    let listener = listen(setup.listen)?;
+    let listener = listen(setup.listen, &protection)?;
     let access = Access {
-        token: match setup.requires_token {
+        tls: protection.tls.clone(),
+        token: match protection.requires_token {
             true => Some(Token::of_folder(data.root())?),
             false => None,
         },
@@ -167,12 +170,14 @@ impl Daemon {
     async fn live(mut self, listener: StdTcpListener, access: Access) -> Result<(), DaemonError> {
         let mut signals = DaemonSignals::new()?;
         let address = listener.local_addr()?;
+        let scheme = access.scheme();
+        let tls = access.tls.as_ref().map(|tls| tls.acceptor());
         let app = Arc::new(App::new(self.supervisor.clone(), access));
-        let acceptor = Acceptor::new(TcpListener::from_std(listener)?, router(app.clone()));
-        self.supervisor.data.tell_address(address)?;
+        let acceptor = Acceptor::new(TcpListener::from_std(listener)?, tls, router(app.clone()));
+        self.supervisor.data.tell_address(scheme, address)?;
         tracing::info!(
             data = %self.supervisor.data.root().display(),
-            "listening on http://{address}/"
+            "listening on {scheme}://{address}/"
         );
         self.manager.ready("idle");
 

@@ -103,10 +103,10 @@ impl DataFolder {
     ///
     /// # Errors
     /// If the system refuses.
-    pub fn tell_address(&self, address: SocketAddr) -> io::Result<()> {
+    pub fn tell_address(&self, scheme: &str, address: SocketAddr) -> io::Result<()> {
         self.lock.set_len(0)?;
         self.lock
-            .write_all_at(format!("http://{address}/\n").as_bytes(), 0)
+            .write_all_at(format!("{scheme}://{address}/\n").as_bytes(), 0)
     }
 
     /// The directory.

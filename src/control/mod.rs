@@ -24,7 +24,7 @@
 //! | `GET /api/v1/jobs`, `POST /api/v1/jobs/{id}/cancel` | refinements |
 //! | `GET /api/v1/config`, `POST /api/v1/config/reload` | the configuration in force, read anew |
 //!
-//! Not handled: users and rights; who reaches the socket is the operator.
+//! Not handled: users and rights; who reaches the socket, with the token where one is asked for, is the operator.
 
 mod operate;
 mod progress;
@@ -48,11 +48,13 @@ mod status_body;
 mod http;
 mod listen;
 mod systemd;
+mod tls;
 mod token;
 mod watchdog;
 
 pub use camera_source::CameraSource;
 pub use daemon::{DaemonError, DaemonSetup, run as run_daemon};
+pub use http::Wish;
 pub use operate::{ControlError, operate, until_stopped};
 pub use progress::{Progress, ProgressStyle};
 pub use settings::SettingsPlaces;

@@ -14,7 +14,7 @@ export RUSTFLAGS="${passes[*]} -Ccodegen-units=1 --cfg fuzzing"
 # Naming the host's own target keeps the counters out of build scripts.
 ${CARGO:-cargo} build --release --locked --target "$host"
 mkdir -p artifacts logs
-targets=(kinect1_packets kinect2_packet recordings mcap_recordings)
+targets=(kinect1_packets kinect2_packet recordings mcap_recordings relief_files)
 # A recording with the descriptions of its messages is longer than other inputs.
 declare -A longest=([mcap_recordings]=16384)
 fuzz() {

@@ -36,7 +36,7 @@ impl Daemon {
         let client = poll("the daemon's address", || {
             assert_eq!(child.try_wait().unwrap(), None, "the daemon ended");
             let text = fs::read_to_string(&lock).ok()?;
-            let address = text.strip_prefix("http://")?.strip_suffix("/\n")?;
+            let address = text.split_once("://")?.1.strip_suffix("/\n")?;
             address.parse().ok().map(Client)
         });
         Daemon {

@@ -74,7 +74,6 @@ impl Client {
 
     /// A request with more headers; `Host` is the daemon's unless they name one.
     pub fn ask(self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
-        let mut stream = self.connect();
         let mut head = format!("{method} {path} HTTP/1.1\r\nConnection: close\r\n");
         if !headers.iter().any(|(name, _)| *name == "Host") {
             head += &format!("Host: {}\r\n", self.0);
@@ -83,18 +82,7 @@ impl Client {
             head += &format!("{name}: {value}\r\n");
         }
         head += &format!("Content-Length: {}\r\n\r\n", body.len());
-        stream.write_all(head.as_bytes()).unwrap();
-        // A daemon that refuses a long body does not read it.
-        let _ = stream.write_all(body);
-        let mut reader = BufReader::new(stream);
-        let (status, headers) = read_head(&mut reader);
-        let mut body = Vec::new();
-        reader.read_to_end(&mut body).unwrap();
-        Answer {
-            status,
-            headers,
-            body,
-        }
+        exchange(self.connect(), &head, body)
     }
 
     /// The daemon's status.
@@ -134,7 +122,24 @@ impl Client {
     }
 }
 
-fn read_head(reader: &mut impl BufRead) -> (u16, Vec<(String, String)>) {
+/// Sends a request over a connection that ends with the answer.
+pub fn exchange(mut stream: impl Read + Write, head: &str, body: &[u8]) -> Answer {
+    stream.write_all(head.as_bytes()).unwrap();
+    // A daemon that refuses a long body does not read it.
+    let _ = stream.write_all(body);
+    let mut reader = BufReader::new(stream);
+    let (status, headers) = read_head(&mut reader);
+    let mut body = Vec::new();
+    reader.read_to_end(&mut body).unwrap();
+    Answer {
+        status,
+        headers,
+        body,
+    }
+}
+
+/// The status and the headers of an answer.
+pub fn read_head(reader: &mut impl BufRead) -> (u16, Vec<(String, String)>) {
     let mut lines = reader.lines().map(|line| line.unwrap());
     let first = lines.next().expect("the daemon answers");
     let status = first.split(' ').nth(1).unwrap().parse().unwrap();

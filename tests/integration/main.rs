@@ -22,6 +22,7 @@ mod signals;
 mod worker;
 
 mod daemon;
+mod daemon_tls;
 
 mod daemon_process;
 mod http_client;

@@ -1,15 +1,16 @@
-//! The accept loop: few connections, short patience with each.
+//! The accept loop: few connections, short patience with each, TLS where there is a certificate.
 
 use axum::Router;
 use hyper::{body::Incoming, server::conn::http1};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use std::{io, pin::pin, sync::Arc, time::Duration};
 use tokio::{
-    io::AsyncWriteExt,
+    io::{AsyncRead, AsyncWrite, AsyncWriteExt},
     net::{TcpListener, TcpStream},
     sync::{OwnedSemaphorePermit, Semaphore, watch},
     time,
 };
+use tokio_rustls::TlsAcceptor;
 use tower::ServiceExt;
 
 /// Connections at a time; who comes after is told to come back.
@@ -17,6 +18,9 @@ pub const MAX_CONNECTIONS: usize = 64;
 
 /// How long a client may take for the head of a request, or keep a connection open without one.
 const HEAD_PATIENCE: Duration = Duration::from_secs(10);
+
+/// How long a client may take for the handshake of TLS.
+const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(10);
 
 /// What a connection holds for a request that arrives, bytes; a head must fit in.
 const BUFFER_BYTES: usize = 32 * 1024;
@@ -31,6 +35,7 @@ const FULL: &[u8] =
 /// Accepts connections until dropped or [`Acceptor::goodbye`].
 pub struct Acceptor {
     listener: TcpListener,
+    tls: Option<TlsAcceptor>,
     router: Router,
     places: Arc<Semaphore>,
     /// Changes when the daemon ends; every connection holds a receiver.
@@ -38,10 +43,11 @@ pub struct Acceptor {
 }
 
 impl Acceptor {
-    /// Serves a router to whoever connects.
-    pub fn new(listener: TcpListener, router: Router) -> Self {
+    /// Serves a router to whoever connects, by TLS alone where that is given.
+    pub fn new(listener: TcpListener, tls: Option<TlsAcceptor>, router: Router) -> Self {
         Acceptor {
             listener,
+            tls,
             router,
             places: Arc::new(Semaphore::new(MAX_CONNECTIONS)),
             ending: watch::Sender::new(()),
@@ -59,13 +65,20 @@ impl Acceptor {
     }
 
     fn admit(&self, stream: TcpStream) {
-        match self.places.clone().try_acquire_owned() {
-            Ok(place) => {
-                let (router, ending) = (self.router.clone(), self.ending.subscribe());
-                tokio::spawn(serve(stream, router, ending, place));
+        let Ok(place) = self.places.clone().try_acquire_owned() else {
+            // Before its handshake a client of TLS could not read a refusal: it is closed.
+            if self.tls.is_none() {
+                refuse(stream);
             }
-            Err(_) => refuse(stream),
-        }
+            return;
+        };
+        // Previews are small messages that must not wait for one another.
+        let _ = stream.set_nodelay(true);
+        let (router, ending) = (self.router.clone(), self.ending.subscribe());
+        match self.tls.clone() {
+            Some(tls) => tokio::spawn(serve_tls(stream, tls, router, ending, place)),
+            None => tokio::spawn(serve(stream, router, ending, place)),
+        };
     }
 
     /// Takes no more connections, and gives those there are a moment to end.
@@ -78,14 +91,27 @@ impl Acceptor {
     }
 }
 
-async fn serve(
+/// Shakes hands, then serves; a client that is slow or speaks something else is closed.
+async fn serve_tls(
     stream: TcpStream,
+    tls: TlsAcceptor,
+    router: Router,
+    ending: watch::Receiver<()>,
+    place: OwnedSemaphorePermit,
+) {
+    match time::timeout(HANDSHAKE_PATIENCE, tls.accept(stream)).await {
+        Ok(Ok(stream)) => serve(stream, router, ending, place).await,
+        Ok(Err(error)) => tracing::debug!(%error, "a handshake failed"),
+        Err(_) => tracing::debug!("a handshake took longer than {HANDSHAKE_PATIENCE:?}"),
+    }
+}
+
+async fn serve(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     router: Router,
     mut ending: watch::Receiver<()>,
     _place: OwnedSemaphorePermit,
 ) {
-    // Previews are small messages that must not wait for one another.
-    let _ = stream.set_nodelay(true);
     let service = hyper::service::service_fn(move |request: hyper::Request<Incoming>| {
         router.clone().oneshot(request)
     });

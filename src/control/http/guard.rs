@@ -1,15 +1,16 @@
 //! Who may ask, and how often: every request passes here before it reaches its handler.
 //!
-//! Against pages of other sites in the operator's own browser: the `Host` must be a name of this daemon (DNS rebinding), an
+//! Against pages of other sites in the operator's own browser: the `Host` must be a name of this daemon (DNS rebinding): one
+//! of the machine for itself, or one that the certificate is for. An
 //! `Origin` must be the daemon's own (forged requests, hijacked WebSockets). Against everybody: bodies and time are limited,
-//! commands are rationed, and where other users share the machine a token can be asked for.
+//! commands are rationed, and where others reach the daemon a token can be asked for.
 
 use super::{
     App,
     body::{MAX_BODY_BYTES, too_long},
     problem::Problem,
 };
-use crate::control::token::Token;
+use crate::control::{tls::Tls, token::Token};
 use axum::{
     extract::{Request, State},
     http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header, uri::Authority},
@@ -64,13 +65,59 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
 pub struct Access {
     /// The token, where one is asked for.
     pub token: Option<Token>,
+    /// The certificate, where the daemon speaks TLS.
+    pub tls: Option<Arc<Tls>>,
 }
 
 impl Access {
     fn check(&self, headers: &HeaderMap) -> Result<(), Problem> {
-        let host = own_host(headers)?;
-        check_origin(headers, &host)?;
+        let host = self.own_host(headers)?;
+        self.check_origin(headers, &host)?;
         self.check_token(headers)
+    }
+
+    /// The scheme of the daemon's addresses.
+    pub fn scheme(&self) -> &'static str {
+        match self.tls {
+            Some(_) => "https",
+            None => "http",
+        }
+    }
+
+    fn own_host(&self, headers: &HeaderMap) -> Result<Authority, Problem> {
+        let mut hosts = headers.get_all(header::HOST).iter();
+        let host = match (hosts.next(), hosts.next()) {
+            (Some(host), None) => host.to_str().ok(),
+            _ => None,
+        };
+        let authority = host.and_then(|host| host.parse::<Authority>().ok());
+        let is_known = |name: &str| {
+            LOOPBACK_NAMES
+                .iter()
+                .any(|known| known.eq_ignore_ascii_case(name))
+                || self.tls.as_ref().is_some_and(|tls| tls.is_for(name))
+        };
+        authority
+            .filter(|authority| is_known(authority.host()))
+            .ok_or_else(|| {
+                let detail = "the request is for a host that this daemon is not";
+                Problem::new(StatusCode::MISDIRECTED_REQUEST, "foreign_host", detail)
+            })
+    }
+
+    fn check_origin(&self, headers: &HeaderMap, host: &Authority) -> Result<(), Problem> {
+        let Some(origin) = headers.get(header::ORIGIN) else {
+            return Ok(());
+        };
+        let own = format!("{}://{host}", self.scheme());
+        match origin.as_bytes().eq_ignore_ascii_case(own.as_bytes()) {
+            true => Ok(()),
+            false => Err(Problem::new(
+                StatusCode::FORBIDDEN,
+                "foreign_origin",
+                "the request comes from a page of another site",
+            )),
+        }
     }
 
     fn check_token(&self, headers: &HeaderMap) -> Result<(), Problem> {
@@ -86,41 +133,6 @@ impl Access {
                 "the daemon's token is needed, as Bearer or as the password of Basic",
             )),
         }
-    }
-}
-
-fn own_host(headers: &HeaderMap) -> Result<Authority, Problem> {
-    let mut hosts = headers.get_all(header::HOST).iter();
-    let host = match (hosts.next(), hosts.next()) {
-        (Some(host), None) => host.to_str().ok(),
-        _ => None,
-    };
-    let authority = host.and_then(|host| host.parse::<Authority>().ok());
-    let is_known = |name: &str| {
-        LOOPBACK_NAMES
-            .iter()
-            .any(|known| known.eq_ignore_ascii_case(name))
-    };
-    authority
-        .filter(|authority| is_known(authority.host()))
-        .ok_or_else(|| {
-            let detail = "the request is for a host that this daemon is not";
-            Problem::new(StatusCode::MISDIRECTED_REQUEST, "foreign_host", detail)
-        })
-}
-
-fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Problem> {
-    let Some(origin) = headers.get(header::ORIGIN) else {
-        return Ok(());
-    };
-    let own = format!("http://{host}");
-    match origin.as_bytes().eq_ignore_ascii_case(own.as_bytes()) {
-        true => Ok(()),
-        false => Err(Problem::new(
-            StatusCode::FORBIDDEN,
-            "foreign_origin",
-            "the request comes from a page of another site",
-        )),
     }
 }
 
@@ -199,6 +211,7 @@ fn timed_out() -> Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::tls::tests::self_signed;
 
     fn headers(pairs: &[(HeaderName, &'static str)]) -> HeaderMap {
         let pairs = pairs.iter().cloned();
@@ -208,7 +221,10 @@ mod tests {
     }
 
     fn access() -> Access {
-        Access { token: None }
+        Access {
+            token: None,
+            tls: None,
+        }
     }
 
     fn code_of(pairs: &[(HeaderName, &'static str)]) -> Option<StatusCode> {
@@ -241,6 +257,30 @@ mod tests {
         ] {
             assert_eq!(with(origin), Some(StatusCode::FORBIDDEN), "{origin}");
         }
+    }
+
+    #[test]
+    fn with_a_certificate_its_names_are_hosts_and_origins_are_of_https() {
+        let folder = tempfile::tempdir().unwrap();
+        let params = self_signed(folder.path(), &["scanner.local"]);
+        let access = Access {
+            token: None,
+            tls: Tls::of_files(&params).unwrap().map(Arc::new),
+        };
+        let code_of = |host, origin| {
+            let headers = headers(&[(header::HOST, host), (header::ORIGIN, origin)]);
+            let answer = access.check(&headers).err();
+            answer.map(|problem| problem.into_response().status())
+        };
+        let own = "https://scanner.local:8047";
+        assert_eq!(code_of("scanner.local:8047", own), None);
+        assert_eq!(code_of("localhost:8047", "https://localhost:8047"), None);
+        for origin in ["http://scanner.local:8047", "https://localhost:8047"] {
+            let code = code_of("scanner.local:8047", origin);
+            assert_eq!(code, Some(StatusCode::FORBIDDEN), "{origin}");
+        }
+        let code = code_of("evil.example:8047", "https://evil.example:8047");
+        assert_eq!(code, Some(StatusCode::MISDIRECTED_REQUEST));
     }
 
     #[test]

@@ -19,6 +19,7 @@ mod socket;
 
 pub use accept::Acceptor;
 pub use guard::Access;
+pub use socket::Wish;
 
 use super::supervisor::Supervisor;
 use axum::{

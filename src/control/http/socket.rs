@@ -41,12 +41,22 @@ const MAX_MESSAGE: usize = 4096;
 /// Before the pixels of a preview, bytes.
 const HEADER: usize = 24;
 
-/// What a client may say.
+/// What a client of the WebSocket may say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
-enum Wish {
+pub enum Wish {
     /// Whether it wants previews.
-    Want { previews: bool },
+    Want {
+        /// It does.
+        previews: bool,
+    },
+}
+
+impl Wish {
+    /// What a message says; `None` for one that makes no sense.
+    pub fn parse(message: &str) -> Option<Self> {
+        serde_json::from_str(message).ok()
+    }
 }
 
 /// Status and previews as they are, newest only (WebSocket)
@@ -108,12 +118,12 @@ impl Sent {
     /// Takes what the client said; false if it is gone, or says what makes no sense.
     fn heard(&mut self, said: Option<Result<Message, axum::Error>>) -> bool {
         match said {
-            Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
-                Ok(Wish::Want { previews }) => {
+            Some(Ok(Message::Text(text))) => match Wish::parse(&text) {
+                Some(Wish::Want { previews }) => {
                     self.wants_previews = previews;
                     true
                 }
-                Err(_) => false,
+                None => false,
             },
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => true,
             Some(Ok(Message::Binary(_) | Message::Close(_)) | Err(_)) | None => false,
