@@ -1,5 +1,6 @@
 //! That memory which is let go goes back. In a process of its own: limits hold for the whole process.
 
+#![allow(clippy::unwrap_used, reason = "a test may fail anywhere")]
 #![cfg(all(target_os = "linux", target_env = "gnu"))]
 
 use std::{fs, hint::black_box};
