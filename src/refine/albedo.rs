@@ -3,6 +3,7 @@
 //! All are ratios of sums, `Σ w s I / Σ w s²` with `s = gain (n·l)/d²`; the mean of ratios that the paper prints is biased
 //! by grazing samples. Groups are the components of a mixture of Gaussians on log albedo whose number the Bayesian information
 //! criterion chooses, or the paper's clusters; facets are given to them by Eq. (4), neighbours together, by expansion moves.
+//! This is where a round begins: `minimise` then moves the groups' albedos together with the surface.
 
 use super::clusters::Clusters;
 use super::energy::unit_normal;

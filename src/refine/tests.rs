@@ -4,8 +4,10 @@ use super::alignment::{AlignmentParams, AlignmentTarget, align_view};
 use super::couplings::Couplings;
 use super::energy::{PriorWeights, Problem, Surface};
 use super::observations::Observations;
+use super::rounds::{final_loss, prior_weights};
 use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views};
 use super::sites::Sites;
+use super::solver::{Pattern, SolverParams, minimise};
 use super::view::Optics;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
@@ -109,6 +111,52 @@ fn gradient_matches_central_differences_of_the_energy() {
             "{numeric} {analytic}"
         );
     }
+}
+
+#[test]
+fn a_wrong_albedo_is_mended_and_bends_nothing() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let mesh = FLAT.mesh(0.004);
+    let views = views(&FLAT, &mesh, &optics, &poses(0.5));
+    let mut surface = surface_of(mesh);
+    let sites = Sites::new(&surface.mesh, &views, u64::MAX);
+    let edges = EdgeAdjacency::new(&surface.mesh);
+    let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
+    let couplings = Couplings::new(&surface.mesh, &edges, &patches);
+    let params = RefineParams {
+        edge_length_m: 0.004,
+        ..RefineParams::default()
+    };
+    let problem = Problem {
+        observations: &Observations::new(&sites, &views),
+        labels: &vec![0; surface.mesh.faces.len()],
+        loss: final_loss(3.0),
+        priors: prior_weights(&params),
+        patches: &patches,
+        edges: &edges,
+    };
+    let pattern = Pattern::new(surface.mesh.vertices.len(), couplings).expect("memory");
+    let solver = SolverParams {
+        max_steps: 6,
+        min_decrease: 1e-6,
+        max_step_m: 1e-3,
+    };
+    let mut albedos = vec![0.93 * ALBEDO];
+    minimise(
+        &mut surface,
+        &mut albedos,
+        &problem,
+        &pattern,
+        &solver,
+        |_| true,
+    );
+    assert!((albedos[0] / ALBEDO - 1.0).abs() < 0.01, "{albedos:?}");
+    let farthest = surface
+        .total_m
+        .iter()
+        .fold(0.0, |max: f64, t| max.max(t.abs()));
+    assert!(farthest < 5e-5, "{farthest}");
 }
 
 #[test]

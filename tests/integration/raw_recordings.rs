@@ -1,18 +1,10 @@
 //! Every command that takes a session takes recordings of raw disparity. Those of packets: `raw_packets`.
 
 use crate::{
-    raw_kinect1::{offset_kinect1, raw_frames, record_raw, stamp_secs},
+    raw_kinect1::{offset_kinect1, raw_frames, record_raw},
     support::{PROGRAM, assert_says, summary},
 };
-use depth_camera::{Frame, Image, Sensor};
-use freenect1::assembly::RawFrame;
-use nalgebra::{Isometry3, Point3};
-use relief::{
-    capture::IrOffset,
-    config::{CalibrationKey, DeviceCalibration},
-};
-use serde_json::Value;
-use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
+use relief::config::{CalibrationKey, DeviceCalibration};
 use std::{
     path::Path,
     process::{Command, Output},
@@ -76,82 +68,4 @@ fn disparity_is_benched_calibrated_converted_and_replayed() {
         assert_says(&benched, 0, &[]);
         assert_eq!(summary(&benched)["frames"], frames, "{what}");
     }
-}
-
-/// A plain wall from several distances under the lamp.
-fn walls() -> Vec<RawFrame> {
-    let half_size = [2.5, 2.5];
-    let plain = Solid::new(Shape::Table { half_size }, Isometry3::identity(), 0.7);
-    let plain = Scene::new(vec![plain], 0);
-    let frames = [0.6, 0.9, 1.3].into_iter().flat_map(|distance_m| {
-        let eye = Point3::new(0.02, -0.06 * distance_m, distance_m);
-        let camera = SimulatedCamera::new(Setup {
-            trajectory: Trajectory::still(eye, Point3::origin()),
-            scene: plain.clone(),
-            sensor: Sensor::Kinect1,
-            infrared: Infrared {
-                offset_px: [9.0, 6.0],
-                ..Infrared::of_sensor(Sensor::Kinect1)
-            },
-            n_moving_frames: 2,
-            shading_frames: vec![0],
-            reduction: 1,
-            seed: 3,
-        });
-        raw_frames(camera.unwrap())
-    });
-    frames
-        .enumerate()
-        .map(|(number, frame)| RawFrame {
-            device_time_secs: stamp_secs(number),
-            ..frame
-        })
-        .collect()
-}
-
-/// The same with IR where depth is.
-fn straightened(frame: &RawFrame) -> RawFrame {
-    let ir = frame.ir.as_ref().unwrap();
-    let shown = Frame {
-        frame_id: frame.frame_id,
-        device_time_secs: frame.device_time_secs,
-        host_time: frame.host_time,
-        depth: None,
-        ir: Some(ir.clone().top_rows(480)),
-    };
-    let moved = IrOffset::nearest([9.0, 6.0]).remove_from(shown).ir.unwrap();
-    let mut ir = Image::filled(640, 488, 0);
-    ir.data_mut()[..640 * 480].copy_from_slice(moved.data());
-    RawFrame {
-        disparity: frame.disparity.clone(),
-        ir: Some(ir),
-        ..*frame
-    }
-}
-
-/// What a device whose IR lies elsewhere shows is what one shows whose IR lies where depth is.
-#[test]
-fn light_is_measured_from_disparity_with_infrared_moved_to_its_place() {
-    let root = tempfile::tempdir().unwrap();
-    let measure = |name: &str, frames: &[RawFrame], offset_px: &str| -> Value {
-        let folder = root.path().join(name);
-        let session = folder.join("wall");
-        std::fs::create_dir(&folder).unwrap();
-        record_raw(frames, "W1", &session);
-        let calibration = format!(
-            "version = 1\nserial = \"W1\"\nsensor = \"kinect1\"\nir_offset_px = {offset_px}\n"
-        );
-        std::fs::write(folder.join("W1.toml"), calibration).unwrap();
-        let arguments = ["calibrate", "flat-field", "--json", "--dry-run"];
-        let into = ["--calibration-dir", folder.to_str().unwrap()];
-        let output = relief(&[arguments.as_slice(), &into].concat(), &[&session]);
-        assert_says(&output, 0, &["gathered session=\"wall\" images=3"]);
-        summary(&output)
-    };
-    let offset = walls();
-    let straight: Vec<_> = offset.iter().map(straightened).collect();
-    let elsewhere = measure("offset", &offset, "[9.0, 6.0]");
-    assert_eq!(elsewhere, measure("straight", &straight, "[0.0, 0.0]"));
-    let unheeded = measure("unheeded", &offset, "[0.0, 0.0]");
-    assert_ne!(elsewhere, unheeded, "the offset matters");
 }
