@@ -11,16 +11,20 @@ pub struct TriMesh {
     pub faces: Vec<[u32; 3]>,
 }
 
+/// The normal of a triangle, twice its area long (m²): `(b−a)×(c−a)`.
+pub fn area_vector([a, b, c]: [Point3<f64>; 3]) -> Vector3<f64> {
+    (b - a).cross(&(c - a))
+}
+
 impl TriMesh {
     /// The three corners of a face.
     pub fn corners(&self, face: usize) -> [Point3<f64>; 3] {
         self.faces[face].map(|vertex| self.vertices[vertex as usize])
     }
 
-    /// The normal of a face, twice its area long (m²), pointing outside: `(b−a)×(c−a)`.
+    /// The normal of a face, twice its area long (m²), pointing outside: [`area_vector`].
     pub fn face_normal(&self, face: usize) -> Vector3<f64> {
-        let [a, b, c] = self.corners(face);
-        (b - a).cross(&(c - a))
+        area_vector(self.corners(face))
     }
 
     /// Centre of a face.

@@ -22,7 +22,7 @@ pub use camera::{CameraModel, RayGrid};
 pub use cells::CellGrid;
 pub use clustering::{Clustering, cluster_vertices, coarsened};
 pub use manifold::{Manifold, border_loops, cut_to_manifold};
-pub use mesh::{EdgeAdjacency, TriMesh};
+pub use mesh::{EdgeAdjacency, TriMesh, area_vector};
 pub use patch::{DepthPatch, PixelSquare};
 pub use point_grid::PointGrid;
 pub use pose::{Motion, Pose, between, increment, mean_pose, motion_between};

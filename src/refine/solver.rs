@@ -2,7 +2,8 @@
 
 use super::cholesky::Analysis;
 use super::couplings::Couplings;
-use super::energy::{GroupTerms, NormalMatrix, Problem, Surface};
+use super::energy::{NormalMatrix, Problem, Surface};
+use crate::geometry::area_vector;
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -105,7 +106,7 @@ impl Pattern {
         let lower = SparseColMatRef::new(self.shape(), &values);
         let factor = self.analysis.factorise(lower)?;
         let alone = factor.solve(matrix.gradient.iter().map(|slope| -slope).collect())?;
-        let groups: Vec<&GroupTerms> = matrix.groups.iter().collect();
+        let groups = &matrix.groups;
         let by_group: Option<Vec<Vec<f64>>> = groups
             .iter()
             .map(|group| factor.solve(group.coupling.clone()))
@@ -264,11 +265,8 @@ fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
             let vertex = vertex as usize;
             mesh.vertices[vertex] + directions[vertex] * step[vertex]
         };
-        let [old, new] = [
-            face.map(|vertex| mesh.vertices[vertex as usize]),
-            face.map(moved),
-        ]
-        .map(|[a, b, c]| (b - a).cross(&(c - a)));
+        let old = area_vector(face.map(|vertex| mesh.vertices[vertex as usize]));
+        let new = area_vector(face.map(moved));
         new.dot(&old) < MIN_COSINE * new.norm() * old.norm()
     };
     for _ in 0..HALVINGS {
