@@ -1,6 +1,6 @@
 //! The voxels of a block as bits, a word for each slab of 8×8, and what becomes of 64 cubes and edges at a time.
 
-use super::block::{BLOCK_SIDE, BRICK_VOXELS, Block, BlockCoord, WEIGHT_ONE};
+use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BRICK_VOXELS, Block, BlockCoord, WEIGHT_ONE};
 use super::volume::TsdfVolume;
 
 /// Slabs of a block.
@@ -14,7 +14,7 @@ const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
 pub const NONE: u32 = u32::MAX;
 
 /// The blocks around one, itself among them; [`NONE`] where there is none. Bit a of an index stands for a step along axis a.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Neighbours {
     /// Towards larger coordinates.
     pub up: [u32; 8],
@@ -47,14 +47,22 @@ pub struct Voxels {
 
 impl Voxels {
     /// Reads a block; voxels of less than `min_weight` do not count as seen.
+    #[inline(always)]
     pub fn of(block: &Block, min_weight: f32) -> Self {
         let least = (min_weight * WEIGHT_ONE).ceil().max(1.0) as u16;
+        // Loops over the whole block, which the compiler turns into vector code, where it would unroll shorter ones.
+        let (mut is_seen, mut is_inside) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+        for voxel in 0..BLOCK_VOXELS {
+            is_seen[voxel] = u8::from(block.weight[voxel] >= least);
+        }
+        for voxel in 0..BLOCK_VOXELS {
+            is_inside[voxel] = is_seen[voxel] & u8::from(block.tsdf[voxel] < 0);
+        }
         let mut voxels = Voxels::default();
-        let bricks = block.tsdf.as_chunks::<BRICK_VOXELS>().0.iter();
-        let weights = block.weight.as_chunks::<BRICK_VOXELS>().0;
-        for (brick, (tsdf, weight)) in bricks.zip(weights).enumerate() {
-            let seen = word(&weight.map(|weight| u8::from(weight >= least)));
-            let inside = seen & word(&tsdf.map(|tsdf| u8::from(tsdf < 0)));
+        let is_seen = is_seen.as_chunks::<BRICK_VOXELS>().0.iter();
+        let is_inside = is_inside.as_chunks::<BRICK_VOXELS>().0;
+        for (brick, (is_seen, is_inside)) in is_seen.zip(is_inside).enumerate() {
+            let (seen, inside) = (word(is_seen), word(is_inside));
             // Four layers of a brick go to as many slabs.
             let (first_slab, at) = (brick >> 2 << 2, 4 * (brick & 1) + 32 * (brick >> 1 & 1));
             for layer in 0..4 {
@@ -89,29 +97,58 @@ fn spread(layer: u64) -> u64 {
 /// A plane of voxels with its neighbours along x, along y and along both, each at the bit of the voxel that it neighbours.
 type Plane = [u64; 4];
 
-/// Plane `z` (0 to 8) of a block's voxels and of those above it.
-fn plane(z: usize, word: impl Fn(usize, usize) -> u64) -> Plane {
+/// Plane `z` (0 to 8) of a block and of those above it.
+#[inline(always)]
+fn plane(around: &[&Mask; 8], z: usize) -> Plane {
     let (above, slab) = (4 * (z / SLABS), z % SLABS);
-    let along_x = |side: usize| {
-        let own = word(above | side, slab) >> 1 & !(FIRST_COLUMN << 7);
-        own | (word(above | side | 1, slab) & FIRST_COLUMN) << 7
-    };
+    let word = |side: usize| around[above | side][slab];
+    let along_x =
+        |own: u64, next: u64| own >> 1 & !(FIRST_COLUMN << 7) | (next & FIRST_COLUMN) << 7;
     let along_y = |own: u64, next: u64| own >> 8 | next << 56;
-    let own = word(above, slab);
-    [
-        own,
-        along_x(0),
-        along_y(own, word(above | 2, slab)),
-        along_y(along_x(0), along_x(2)),
-    ]
+    let (x, x_next) = (along_x(word(0), word(1)), along_x(word(2), word(3)));
+    [word(0), x, along_y(word(0), word(2)), along_y(x, x_next)]
+}
+
+/// A mask of nothing.
+const NOTHING: Mask = [0; SLABS];
+
+/// Which corners of a block's cubes lie inside.
+pub struct Corners([Plane; SLABS + 1]);
+
+impl Corners {
+    /// The corners of the cubes of a block, given what the voxels of all blocks are.
+    #[inline(always)]
+    pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
+        let mut around = [&NOTHING; 8];
+        for (mask, &block) in around.iter_mut().zip(&neighbours.up) {
+            if let Some(voxels) = voxels.get(block as usize) {
+                *mask = &voxels.inside;
+            }
+        }
+        let mut planes = [[0; 4]; SLABS + 1];
+        for (z, out) in planes.iter_mut().enumerate() {
+            *out = plane(&around, z);
+        }
+        Corners(planes)
+    }
+
+    /// The inside corners of the cube whose lowest voxel is at a bit of slab `z`, one bit each, as
+    /// [`cases`](super::cube_cases::cases) numbers them.
+    #[inline(always)]
+    pub fn pattern(&self, z: usize, bit: usize) -> usize {
+        let mut pattern = 0;
+        for corner in 0..4 {
+            pattern |= (self.0[z][corner] >> bit & 1) << corner;
+            pattern |= (self.0[z + 1][corner] >> bit & 1) << (corner + 4);
+        }
+        pattern as usize
+    }
 }
 
 /// Cubes of a block, each at the bit of its lowest voxel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cubes {
-    /// Cubes of which all eight voxels were seen.
-    pub seen: Mask,
-    /// Those among them that the surface crosses.
+    /// Cubes of which all eight voxels were seen and that the surface crosses.
     pub crossed: Mask,
     /// Edges that the surface crosses, by axis, each at the bit of its lower voxel, whether a cube uses them or not.
     pub crossings: [Mask; 3],
@@ -119,21 +156,23 @@ pub struct Cubes {
 
 impl Cubes {
     /// The cubes of a block, given what the voxels of all blocks are.
+    #[inline(always)]
     pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
-        let at = |side: usize| voxels.get(neighbours.up[side] as usize);
-        let around: [Voxels; 8] = std::array::from_fn(|side| at(side).copied().unwrap_or_default());
-        let seen = |z: usize| plane(z, |side, slab| around[side].seen[slab]);
-        let inside = |z: usize| plane(z, |side, slab| around[side].inside[slab]);
+        let (mut seen, mut inside) = ([&NOTHING; 8], [&NOTHING; 8]);
+        for side in 0..8 {
+            if let Some(voxels) = voxels.get(neighbours.up[side] as usize) {
+                (seen[side], inside[side]) = (&voxels.seen, &voxels.inside);
+            }
+        }
         let mut cubes = Cubes::default();
-        let all = |plane: Plane| plane.iter().fold(!0, |all, word| all & word);
-        let any = |plane: Plane| plane.iter().fold(0, |any, word| any | word);
-        let (mut seen_below, mut inside_below) = (seen(0), inside(0));
+        let all = |[a, b, c, d]: Plane| a & b & c & d;
+        let any = |[a, b, c, d]: Plane| a | b | c | d;
+        let (mut seen_below, mut inside_below) = (plane(&seen, 0), plane(&inside, 0));
         for z in 0..SLABS {
-            let (seen_above, inside_above) = (seen(z + 1), inside(z + 1));
-            cubes.seen[z] = all(seen_below) & all(seen_above);
+            let (seen_above, inside_above) = (plane(&seen, z + 1), plane(&inside, z + 1));
             let any_inside = any(inside_below) | any(inside_above);
             let all_inside = all(inside_below) & all(inside_above);
-            cubes.crossed[z] = cubes.seen[z] & any_inside & !all_inside;
+            cubes.crossed[z] = all(seen_below) & all(seen_above) & any_inside & !all_inside;
             cubes.crossings[0][z] = inside_below[0] ^ inside_below[1];
             cubes.crossings[1][z] = inside_below[0] ^ inside_below[2];
             cubes.crossings[2][z] = inside_below[0] ^ inside_above[0];
@@ -141,23 +180,35 @@ impl Cubes {
         }
         cubes
     }
+
+    /// Whether the surface passes through the block.
+    #[inline(always)]
+    pub fn any_crossed(&self) -> bool {
+        self.crossed.iter().any(|&word| word != 0)
+    }
 }
 
-/// The crossed edges of a block that some cube uses, by axis, each at the bit of its lower voxel.
-pub fn used_edges(cubes: &[Cubes], neighbours: &Neighbours) -> [Mask; 3] {
-    let at = |side: usize| cubes.get(neighbours.down[side] as usize);
-    let around: [Mask; 8] =
-        std::array::from_fn(|side| at(side).map_or([0; SLABS], |cubes| cubes.seen));
-    let Some(own) = at(0) else {
-        return [[0; SLABS]; 3];
+/// The crossed edges of a block that some cube uses, by axis, each at the bit of its lower voxel. A cube with a crossed edge
+/// is crossed itself.
+#[inline(always)]
+pub fn used_edges(around: &[(Neighbours, Cubes)], neighbours: &Neighbours) -> [Mask; 3] {
+    let at = |block: u32| around.get(block as usize).map(|(_, cubes)| cubes);
+    let mut crossed = [&NOTHING; 8];
+    for (mask, &block) in crossed.iter_mut().zip(&neighbours.down) {
+        if let Some(cubes) = at(block) {
+            *mask = &cubes.crossed;
+        }
+    }
+    let Some(own) = at(neighbours.down[0]) else {
+        return [NOTHING; 3];
     };
     let mut edges = own.crossings;
     for z in 0..SLABS {
         // Slab z of the block, and the one below it, which may belong to the blocks below.
-        let same = |side: usize| around[side][z];
+        let same = |side: usize| crossed[side][z];
         let below = |side: usize| match z {
-            0 => around[4 | side][SLABS - 1],
-            _ => around[side][z - 1],
+            0 => crossed[4 | side][SLABS - 1],
+            _ => crossed[side][z - 1],
         };
         let back_x =
             |own: u64, previous: u64| own << 1 & !FIRST_COLUMN | previous >> 7 & FIRST_COLUMN;
@@ -186,7 +237,7 @@ pub fn bits(mut word: u64) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::block::{BLOCK_VOXELS, voxel_index};
+    use crate::fusion::block::voxel_index;
 
     #[test]
     fn every_voxel_is_at_its_bit() {

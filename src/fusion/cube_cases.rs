@@ -3,11 +3,59 @@
 //! They are not looked up but traced: crossings are joined along the cube's faces, always round the inside corners, into
 //! loops, and loops cut into fans. Two cubes see their common face alike, so that the mesh has no cracks.
 
-/// The triangles of one cube: edges (0..12) three by three.
-pub type Case = Vec<[u8; 3]>;
+use std::sync::LazyLock;
+
+/// Most triangles that a cube has: eight corners, alternately inside and outside but for one, are cut by one ring of nine.
+const MAX_TRIANGLES: usize = 7;
+
+/// The triangles of one cube, by their edges (0 to 11).
+#[derive(Clone, Copy, Default)]
+pub struct Case {
+    n_triangles: u8,
+    triangles: [[u8; 3]; MAX_TRIANGLES],
+}
+
+impl Case {
+    /// The triangles.
+    #[inline(always)]
+    pub fn triangles(&self) -> &[[u8; 3]] {
+        &self.triangles[..self.n_triangles()]
+    }
+
+    /// How many there are.
+    #[inline(always)]
+    pub fn n_triangles(&self) -> usize {
+        self.n_triangles as usize
+    }
+
+    fn push(&mut self, triangle: [u8; 3]) {
+        self.triangles[self.n_triangles()] = triangle;
+        self.n_triangles += 1;
+    }
+}
+
+/// The triangles of all 256 sign patterns; bit c of a pattern is set where corner c lies inside.
+pub fn cases() -> &'static [Case; 256] {
+    static CASES: LazyLock<[Case; 256]> = LazyLock::new(|| {
+        let faces = face_loops();
+        std::array::from_fn(|pattern| trace_case(pattern as u8, &faces))
+    });
+    &CASES
+}
+
+/// Corners of each edge of a cube.
+pub const EDGE_CORNERS: [(u8, u8); 12] = {
+    let mut corners = [(0, 0); 12];
+    let mut edge = 0;
+    while edge < 12 {
+        corners[edge as usize] = edge_corners(edge);
+        edge += 1;
+    }
+    corners
+};
 
 /// Corners of edge `e` of a cube; corner `c` lies at (c & 1, c >> 1 & 1, c >> 2). Edge 4a + b runs along axis a.
-pub fn edge_corners(edge: u8) -> (u8, u8) {
+const fn edge_corners(edge: u8) -> (u8, u8) {
     let axis = edge / 4;
     let (p, q) = ((axis + 1) % 3, (axis + 2) % 3);
     let first = ((edge & 1) << p) | (((edge >> 1) & 1) << q);
@@ -17,7 +65,7 @@ pub fn edge_corners(edge: u8) -> (u8, u8) {
 /// The edge between two neighbouring corners.
 fn edge_between(a: u8, b: u8) -> u8 {
     (0..12)
-        .find(|&edge| edge_corners(edge) == (a.min(b), a.max(b)))
+        .find(|&edge| EDGE_CORNERS[edge as usize] == (a.min(b), a.max(b)))
         .expect("corners of one edge")
 }
 
@@ -34,14 +82,6 @@ fn face_loops() -> [[u8; 4]; 6] {
             [loop_[0], loop_[3], loop_[2], loop_[1]]
         }
     })
-}
-
-/// Traces the triangles of all 256 sign patterns; bit c of a pattern is set where corner c lies inside.
-pub fn trace_cases() -> Vec<Case> {
-    let faces = face_loops();
-    (0..256u32)
-        .map(|pattern| trace_case(pattern as u8, &faces))
-        .collect()
 }
 
 fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
@@ -63,7 +103,7 @@ fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
             next[leave as usize] = edge_between(before, first);
         }
     }
-    let mut triangles = Vec::new();
+    let mut case = Case::default();
     let mut used = [false; 12];
     for first in 0..12u8 {
         if next[first as usize] == u8::MAX || used[first as usize] {
@@ -76,7 +116,9 @@ fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
             ring.push(edge);
             edge = next[edge as usize];
         }
-        triangles.extend((1..ring.len() - 1).map(|i| [ring[0], ring[i + 1], ring[i]]));
+        for i in 1..ring.len() - 1 {
+            case.push([ring[0], ring[i + 1], ring[i]]);
+        }
     }
-    triangles
+    case
 }

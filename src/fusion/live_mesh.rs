@@ -6,11 +6,12 @@
 
 use super::Fusion;
 use super::block::BLOCK_SIDE;
-use super::block_masks::{Cubes, Neighbours, Voxels, bits};
-use super::cube_cases::{Case, trace_cases};
-use super::marching_cubes::{CubeCorners, edge_ends, place_on_edge};
+use super::block_masks::{Corners, Cubes, Neighbours, Voxels, bits};
+use super::cube_cases::cases;
+use super::marching_cubes::{Reading, TASK_BLOCKS, each, edge_low, place_on_edge};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// The patches of a model, as they were when it was looked at last.
@@ -56,17 +57,31 @@ impl Fusion {
         let n_blocks = self.volume.blocks().len();
         live.voxels.resize(n_blocks, Voxels::default());
         live.patches.resize(n_blocks, TriMesh::default());
-        let min_weight = self.params.min_surface_weight as f32;
-        for &block in &changed {
-            let block = block as usize;
-            live.voxels[block] = Voxels::of(&self.volume.blocks()[block], min_weight);
+        let arch = self.eye.arch;
+        let reading = Reading {
+            volume: &self.volume,
+            blocks: &changed,
+            min_weight: self.params.min_surface_weight as f32,
+        };
+        let voxels = each(arch, changed.len(), &reading);
+        for (&block, voxels) in changed.iter().zip(voxels) {
+            live.voxels[block as usize] = voxels;
         }
         let affected = affected(&self.volume, &changed);
-        let (cases, voxels) = (trace_cases(), &live.voxels);
-        let patches: Vec<TriMesh> = affected
-            .par_iter()
-            .map(|&block| patch(&self.volume, voxels, &cases, block as usize))
+        let mut patches: Vec<TriMesh> = affected
+            .iter()
+            .map(|&block| std::mem::take(&mut live.patches[block as usize]))
             .collect();
+        let tasks = patches.par_chunks_mut(TASK_BLOCKS);
+        let tasks = tasks.zip(affected.par_chunks(TASK_BLOCKS));
+        tasks.for_each(|(patches, blocks)| {
+            arch.dispatch(Renewal {
+                volume: &self.volume,
+                voxels: &live.voxels,
+                patches,
+                blocks,
+            });
+        });
         for (&block, patch) in affected.iter().zip(patches) {
             live.patches[block as usize] = patch;
         }
@@ -97,39 +112,86 @@ fn affected(volume: &TsdfVolume, changed: &[u32]) -> Vec<u32> {
 const REACH: usize = BLOCK_SIDE as usize + 1;
 const N_EDGES: usize = 3 * REACH * REACH * REACH;
 
-/// The surface in a block's cubes.
-fn patch(volume: &TsdfVolume, voxels: &[Voxels], cases: &[Case], block: usize) -> TriMesh {
-    let coord = volume.coords()[block];
-    let around = Neighbours::of(volume, coord);
-    let cubes = Cubes::of(voxels, &around);
-    let mut patch = TriMesh::default();
-    if cubes.crossed.iter().all(|&word| word == 0) {
-        return patch;
-    }
-    let ends = edge_ends();
-    let mut vertex_of = [u32::MAX; N_EDGES];
-    for (z, &word) in cubes.crossed.iter().enumerate() {
-        for bit in bits(word) {
-            let low = [bit & 7, bit >> 3, z];
-            let corners = CubeCorners::of(low, &around);
-            for face in &cases[corners.pattern(voxels)] {
-                let face = face.map(|edge| {
-                    let (corner, axis) = (ends[edge as usize].0 as usize, edge as usize / 4);
-                    let low = [0, 1, 2].map(|k| low[k] + (corner >> k & 1));
-                    let key = axis + 3 * (low[0] + REACH * (low[1] + REACH * low[2]));
-                    let vertex = &mut vertex_of[key];
-                    if *vertex == u32::MAX {
-                        *vertex = patch.vertices.len() as u32;
-                        let place = place_on_edge(volume, coord, &around, axis, low);
-                        patch.vertices.push(place);
-                    }
-                    *vertex
-                });
-                patch.faces.push(face);
-            }
+/// No vertex on an edge yet.
+const UNPLACED: u16 = u16::MAX;
+
+/// Extracts the patches of some blocks anew.
+struct Renewal<'a> {
+    volume: &'a TsdfVolume,
+    voxels: &'a [Voxels],
+    patches: &'a mut [TriMesh],
+    blocks: &'a [u32],
+}
+
+impl WithSimd for Renewal<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let mut extraction = Extraction::new(self.volume, self.voxels);
+        for (patch, &block) in self.patches.iter_mut().zip(self.blocks) {
+            extraction.renew(patch, block as usize);
         }
     }
-    patch
+}
+
+/// Extracts one patch after the other.
+struct Extraction<'a> {
+    volume: &'a TsdfVolume,
+    voxels: &'a [Voxels],
+    /// The patch's vertex on each edge, [`UNPLACED`] between two patches.
+    vertex_of: [u16; N_EDGES],
+    /// The edges that have one.
+    placed: Vec<u16>,
+}
+
+impl<'a> Extraction<'a> {
+    fn new(volume: &'a TsdfVolume, voxels: &'a [Voxels]) -> Self {
+        Extraction {
+            volume,
+            voxels,
+            vertex_of: [UNPLACED; N_EDGES],
+            placed: Vec::new(),
+        }
+    }
+
+    /// Puts the surface in a block's cubes in the place of what the patch was.
+    #[inline(always)]
+    fn renew(&mut self, patch: &mut TriMesh, block: usize) {
+        patch.vertices.clear();
+        patch.faces.clear();
+        let coord = self.volume.coords()[block];
+        let around = Neighbours::of(self.volume, coord);
+        let cubes = Cubes::of(self.voxels, &around);
+        if !cubes.any_crossed() {
+            return;
+        }
+        let (corners, cases) = (Corners::of(self.voxels, &around), cases());
+        for (z, &word) in cubes.crossed.iter().enumerate() {
+            for bit in bits(word) {
+                let low = [bit & 7, bit >> 3, z];
+                for triangle in cases[corners.pattern(z, bit)].triangles() {
+                    let mut face = [0; 3];
+                    for (vertex, &edge) in face.iter_mut().zip(triangle) {
+                        let (axis, low) = (edge as usize / 4, edge_low(low, edge));
+                        let key = axis + 3 * (low[0] + REACH * (low[1] + REACH * low[2]));
+                        let known = &mut self.vertex_of[key];
+                        if *known == UNPLACED {
+                            *known = patch.vertices.len() as u16;
+                            self.placed.push(key as u16);
+                            let place = place_on_edge(self.volume, coord, &around, axis, low);
+                            patch.vertices.push(place);
+                        }
+                        *vertex = u32::from(*known);
+                    }
+                    patch.faces.push(face);
+                }
+            }
+        }
+        for edge in self.placed.drain(..) {
+            self.vertex_of[edge as usize] = UNPLACED;
+        }
+    }
 }
 
 #[cfg(test)]

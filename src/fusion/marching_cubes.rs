@@ -5,8 +5,8 @@
 //! Blocks are worked on in parallel, and their parts put together in the order of allocation.
 
 use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BlockCoord, voxel_index};
-use super::block_masks::{Cubes, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges};
-use super::cube_cases::{Case, edge_corners, trace_cases};
+use super::block_masks::{Corners, Cubes, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges};
+use super::cube_cases::{EDGE_CORNERS, cases};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
 use nalgebra::Point3;
@@ -17,140 +17,294 @@ use rayon::prelude::*;
 // A symbol of its own, by which tests/bench/instructions.sh counts.
 #[inline(never)]
 pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMesh {
-    let blocks = volume.blocks().par_iter();
-    let coords = volume.coords().par_iter();
-    let voxels: Vec<Voxels> = blocks.map(|block| Voxels::of(block, min_weight)).collect();
-    let neighbours: Vec<Neighbours> = coords.map(|&coord| Neighbours::of(volume, coord)).collect();
-    let cubes = neighbours
-        .par_iter()
-        .map(|around| Cubes::of(&voxels, around));
-    let cubes: Vec<Cubes> = cubes.collect();
-    let vertices = neighbours
-        .par_iter()
-        .map(|around| EdgeVertices::of(&cubes, around));
-    let mut vertices: Vec<EdgeVertices> = vertices.collect();
-    let n_vertices = number(&mut vertices);
-    let cases = trace_cases();
+    let n_blocks = volume.blocks().len();
+    let all: Vec<u32> = (0..n_blocks as u32).collect();
+    let reading = Reading {
+        volume,
+        blocks: &all,
+        min_weight,
+    };
+    let voxels = each(arch, n_blocks, &reading);
+    let around = each(
+        arch,
+        n_blocks,
+        &Crossing {
+            volume,
+            voxels: &voxels,
+        },
+    );
     let grid = Grid {
         volume,
-        edges: edge_ends(),
-        cases: &cases,
         voxels: &voxels,
-        neighbours: &neighbours,
-        cubes: &cubes,
-        vertices: &vertices,
+        around: &around,
     };
-    grid.mesh(arch, n_vertices)
+    let surfaces = numbered(each(arch, n_blocks, &grid));
+    grid.mesh(arch, &surfaces)
 }
 
-/// The vertices on a block's edges.
-struct EdgeVertices {
+/// Blocks that one task works on.
+pub const TASK_BLOCKS: usize = 256;
+
+/// Something that is found out of every block. Implementations are always inlined, so as to become vector code.
+pub trait OfBlock: Sync {
+    /// What it is.
+    type Out: Clone + Default + Send;
+    /// Finds it for the block at an index.
+    fn of(&self, index: usize) -> Self::Out;
+}
+
+/// Finds something out of `n` blocks, in parallel and in the vector code of `arch`.
+pub fn each<P: OfBlock>(arch: Arch, n: usize, pass: &P) -> Vec<P::Out> {
+    let mut all = vec![P::Out::default(); n];
+    let tasks = all.par_chunks_mut(TASK_BLOCKS).enumerate();
+    tasks.for_each(|(task, outs)| {
+        let first = task * TASK_BLOCKS;
+        arch.dispatch(Task { pass, first, outs });
+    });
+    all
+}
+
+struct Task<'a, P: OfBlock> {
+    pass: &'a P,
+    first: usize,
+    outs: &'a mut [P::Out],
+}
+
+impl<P: OfBlock> WithSimd for Task<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (index, out) in self.outs.iter_mut().enumerate() {
+            *out = self.pass.of(self.first + index);
+        }
+    }
+}
+
+/// Reads the voxels of some blocks.
+pub struct Reading<'a> {
+    /// The volume.
+    pub volume: &'a TsdfVolume,
+    /// Numbers of the blocks.
+    pub blocks: &'a [u32],
+    /// Voxels of less do not count as seen.
+    pub min_weight: f32,
+}
+
+impl OfBlock for Reading<'_> {
+    type Out = Voxels;
+
+    #[inline(always)]
+    fn of(&self, index: usize) -> Voxels {
+        let block = self.blocks[index] as usize;
+        Voxels::of(&self.volume.blocks()[block], self.min_weight)
+    }
+}
+
+/// Finds the blocks around each, and its cubes.
+struct Crossing<'a> {
+    volume: &'a TsdfVolume,
+    voxels: &'a [Voxels],
+}
+
+impl OfBlock for Crossing<'_> {
+    type Out = (Neighbours, Cubes);
+
+    #[inline(always)]
+    fn of(&self, block: usize) -> (Neighbours, Cubes) {
+        let neighbours = Neighbours::of(self.volume, self.volume.coords()[block]);
+        (neighbours, Cubes::of(self.voxels, &neighbours))
+    }
+}
+
+/// The vertices on a block's edges and the faces in its cubes.
+#[derive(Clone, Default)]
+struct Surface {
     /// Edges with a vertex, by axis, each at the bit of its lower voxel.
     edges: [Mask; 3],
     /// Vertices of the block before each word of `edges`.
     before: [[u16; SLABS]; 3],
     n_vertices: u32,
+    n_faces: u32,
     /// Vertices of the blocks before this one.
-    first: u32,
+    first_vertex: u32,
 }
 
-impl EdgeVertices {
-    fn of(cubes: &[Cubes], neighbours: &Neighbours) -> Self {
-        let edges = used_edges(cubes, neighbours);
-        let (mut before, mut n_vertices) = ([[0; SLABS]; 3], 0);
-        for (before, word) in before
-            .as_flattened_mut()
-            .iter_mut()
-            .zip(edges.as_flattened())
-        {
-            *before = n_vertices as u16;
-            n_vertices += word.count_ones();
-        }
-        EdgeVertices {
-            edges,
-            before,
-            n_vertices,
-            first: 0,
-        }
-    }
-
+impl Surface {
     /// Number of the vertex on an edge that has one.
     #[inline(always)]
     fn vertex(&self, axis: usize, slab: usize, bit: usize) -> u32 {
         let lower = self.edges[axis][slab] & ((1 << bit) - 1);
-        self.first + u32::from(self.before[axis][slab]) + lower.count_ones()
+        self.first_vertex + u32::from(self.before[axis][slab]) + lower.count_ones()
     }
 }
 
-/// Numbers the vertices of all blocks through; returns how many there are.
-fn number(vertices: &mut [EdgeVertices]) -> usize {
+/// Vertices and faces of some blocks.
+fn counts(surfaces: &[Surface]) -> (usize, usize) {
+    surfaces.iter().fold((0, 0), |(vertices, faces), surface| {
+        let more = (surface.n_vertices as usize, surface.n_faces as usize);
+        (vertices + more.0, faces + more.1)
+    })
+}
+
+/// Numbers the vertices of all blocks through.
+fn numbered(mut surfaces: Vec<Surface>) -> Vec<Surface> {
     let mut n_vertices = 0;
-    for block in vertices {
-        block.first = n_vertices;
-        n_vertices += block.n_vertices;
+    for surface in &mut surfaces {
+        surface.first_vertex = n_vertices;
+        n_vertices += surface.n_vertices;
     }
-    n_vertices as usize
+    surfaces
 }
 
 struct Grid<'a> {
     volume: &'a TsdfVolume,
-    cases: &'a [Case],
-    /// Corners of a cube's edges.
-    edges: [(u8, u8); 12],
     voxels: &'a [Voxels],
-    neighbours: &'a [Neighbours],
-    cubes: &'a [Cubes],
-    vertices: &'a [EdgeVertices],
+    around: &'a [(Neighbours, Cubes)],
 }
+
+impl OfBlock for Grid<'_> {
+    type Out = Surface;
+
+    #[inline(always)]
+    fn of(&self, block: usize) -> Surface {
+        let (neighbours, cubes) = &self.around[block];
+        let edges = used_edges(self.around, neighbours);
+        let mut surface = Surface {
+            edges,
+            ..Surface::default()
+        };
+        for axis in 0..3 {
+            for (before, word) in surface.before[axis].iter_mut().zip(edges[axis]) {
+                *before = surface.n_vertices as u16;
+                surface.n_vertices += word.count_ones();
+            }
+        }
+        if cubes.any_crossed() {
+            let (corners, cases) = (Corners::of(self.voxels, neighbours), cases());
+            for (z, &word) in cubes.crossed.iter().enumerate() {
+                for bit in bits(word) {
+                    surface.n_faces += cases[corners.pattern(z, bit)].n_triangles() as u32;
+                }
+            }
+        }
+        surface
+    }
+}
+
+/// Vertices and faces of a task's blocks, to be filled in.
+type Part<'a> = (&'a mut [Point3<f64>], &'a mut [[u32; 3]]);
 
 impl Grid<'_> {
-    fn mesh(&self, arch: Arch, n_vertices: usize) -> TriMesh {
-        let mut vertices = vec![Point3::origin(); n_vertices];
-        let mut rest = &mut vertices[..];
-        let parts: Vec<&mut [Point3<f64>]> = self
-            .vertices
-            .iter()
-            .map(|block| {
-                rest.split_off_mut(..block.n_vertices as usize)
-                    .expect("numbered through")
+    fn mesh(&self, arch: Arch, surfaces: &[Surface]) -> TriMesh {
+        let (n_vertices, n_faces) = counts(surfaces);
+        let mut mesh = TriMesh {
+            vertices: vec![Point3::origin(); n_vertices],
+            faces: vec![[0; 3]; n_faces],
+        };
+        let (mut vertices, mut faces) = (&mut mesh.vertices[..], &mut mesh.faces[..]);
+        let parts: Vec<Part<'_>> = surfaces
+            .chunks(TASK_BLOCKS)
+            .map_while(|of_task| {
+                let (n_vertices, n_faces) = counts(of_task);
+                let vertices = vertices.split_off_mut(..n_vertices)?;
+                Some((vertices, faces.split_off_mut(..n_faces)?))
             })
             .collect();
-        parts
-            .into_par_iter()
-            .enumerate()
-            .for_each(|(block, part)| self.place(block, part));
-        let n_blocks = self.cubes.len();
-        let faces: Vec<Vec<[u32; 3]>> = (0..n_blocks.div_ceil(TASK_BLOCKS))
-            .into_par_iter()
-            .map(|task| {
-                let blocks = task * TASK_BLOCKS..((task + 1) * TASK_BLOCKS).min(n_blocks);
-                arch.dispatch(Faces { grid: self, blocks })
-            })
-            .collect();
-        TriMesh {
-            vertices,
-            faces: faces.concat(),
-        }
-    }
-
-    /// Places a block's vertices where the distance is zero on their edges.
-    fn place(&self, block: usize, out: &mut [Point3<f64>]) {
-        let (edges, coord) = (&self.vertices[block].edges, self.volume.coords()[block]);
-        let edges = edges.iter().enumerate().flat_map(|(axis, mask)| {
-            mask.iter().enumerate().flat_map(move |(z, &word)| {
-                bits(word).map(move |bit| (axis, [bit & 7, bit >> 3, z]))
-            })
+        parts.into_par_iter().enumerate().for_each(|(task, part)| {
+            let first = task * TASK_BLOCKS;
+            arch.dispatch(Writing {
+                grid: self,
+                surfaces,
+                first,
+                part,
+            });
         });
-        let around = &self.neighbours[block];
-        for (out, (axis, low)) in out.iter_mut().zip(edges) {
-            *out = place_on_edge(self.volume, coord, around, axis, low);
+        mesh
+    }
+}
+
+/// Writes the part of the task that begins with block `first`.
+struct Writing<'a> {
+    grid: &'a Grid<'a>,
+    surfaces: &'a [Surface],
+    first: usize,
+    part: Part<'a>,
+}
+
+impl WithSimd for Writing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) {
+        let (vertices, faces) = std::mem::take(&mut self.part);
+        let (mut vertices, mut faces) = (vertices.iter_mut(), faces.iter_mut());
+        for block in self.first..(self.first + TASK_BLOCKS).min(self.surfaces.len()) {
+            self.place(block, &mut vertices);
+            self.connect(block, &mut faces);
         }
     }
 }
 
-/// The corners that the edges of a cube lead from and to.
-pub fn edge_ends() -> [(u8, u8); 12] {
-    std::array::from_fn(|edge| edge_corners(edge as u8))
+impl Writing<'_> {
+    /// Places a block's vertices where the distance is zero on their edges.
+    #[inline(always)]
+    fn place(&self, block: usize, out: &mut std::slice::IterMut<'_, Point3<f64>>) {
+        let volume = self.grid.volume;
+        let (coord, (around, _)) = (volume.coords()[block], &self.grid.around[block]);
+        for (axis, mask) in self.surfaces[block].edges.iter().enumerate() {
+            for (z, &word) in mask.iter().enumerate() {
+                for (bit, out) in bits(word).zip(&mut *out) {
+                    let low = [bit & 7, bit >> 3, z];
+                    *out = place_on_edge(volume, coord, around, axis, low);
+                }
+            }
+        }
+    }
+
+    /// Joins the vertices on the edges of a block's cubes to faces.
+    #[inline(always)]
+    fn connect(&self, block: usize, out: &mut std::slice::IterMut<'_, [u32; 3]>) {
+        let (around, cubes) = &self.grid.around[block];
+        if !cubes.any_crossed() {
+            return;
+        }
+        let (corners, cases) = (Corners::of(self.grid.voxels, around), cases());
+        for (z, &word) in cubes.crossed.iter().enumerate() {
+            for bit in bits(word) {
+                let low = [bit & 7, bit >> 3, z];
+                let triangles = cases[corners.pattern(z, bit)].triangles();
+                for (&[a, b, c], out) in triangles.iter().zip(&mut *out) {
+                    *out = [
+                        self.vertex(around, low, a),
+                        self.vertex(around, low, b),
+                        self.vertex(around, low, c),
+                    ];
+                }
+            }
+        }
+    }
+
+    /// Number of the vertex on an edge of the cube whose lowest voxel is `low` of a block.
+    #[inline(always)]
+    fn vertex(&self, around: &Neighbours, low: [usize; 3], edge: u8) -> u32 {
+        let [x, y, z] = edge_low(low, edge);
+        let block = around.up[side_of([x, y, z])] as usize;
+        self.surfaces[block].vertex(edge as usize / 4, z & 7, x & 7 | (y & 7) << 3)
+    }
+}
+
+/// The lower voxel of an edge of the cube whose lowest voxel is `low` of a block: of that block or of the layer above it.
+#[inline(always)]
+pub fn edge_low([x, y, z]: [usize; 3], edge: u8) -> [usize; 3] {
+    let corner = EDGE_CORNERS[edge as usize].0 as usize;
+    [x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)]
+}
+
+/// Which of the blocks upwards a voxel of a block or of the layer above it belongs to: see [`Neighbours`].
+#[inline(always)]
+fn side_of([x, y, z]: [usize; 3]) -> usize {
+    x >> 3 | y >> 3 << 1 | z >> 3 << 2
 }
 
 /// Where the distance is zero on an edge that the surface crosses, world frame (m): it runs along `axis` from voxel `low` of
@@ -169,84 +323,22 @@ pub fn place_on_edge(
         distance(volume, around, low),
         distance(volume, around, high),
     );
-    let mut place = [0, 1, 2].map(|k| f64::from(coord[k] * BLOCK_SIDE + low[k] as i32));
+    let mut place = [0.0; 3];
+    for k in 0..3 {
+        place[k] = f64::from(coord[k] * BLOCK_SIDE + low[k] as i32);
+    }
     place[axis] += a / (a - b);
-    Point3::from(place.map(|x| x * f64::from(volume.voxel_size_m())))
+    let voxel = f64::from(volume.voxel_size_m());
+    Point3::new(place[0] * voxel, place[1] * voxel, place[2] * voxel)
 }
 
 /// The raw distance of a voxel of a block or of the layer above it.
 #[inline(always)]
 fn distance(volume: &TsdfVolume, around: &Neighbours, [x, y, z]: [usize; 3]) -> f64 {
-    let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
-    let block = around.up[side] as usize;
+    let block = around.up[side_of([x, y, z])] as usize;
     debug_assert!(block != NONE as usize, "both ends of an edge were seen");
-    let index = voxel_index([x & 7, y & 7, z & 7].map(|i| i as i32));
+    let index = voxel_index([x as i32 & 7, y as i32 & 7, z as i32 & 7]);
     f64::from(volume.blocks()[block].tsdf[index % BLOCK_VOXELS])
-}
-
-/// Block, slab and bit of each corner of a cube.
-pub struct CubeCorners([(usize, usize, usize); 8]);
-
-impl CubeCorners {
-    /// The corners of the cube whose lowest voxel is `low` of a block.
-    #[inline(always)]
-    pub fn of(low: [usize; 3], around: &Neighbours) -> Self {
-        CubeCorners(std::array::from_fn(|corner| {
-            let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + (corner >> axis & 1));
-            let side = x >> 3 | y >> 3 << 1 | z >> 3 << 2;
-            (around.up[side] as usize, z & 7, x & 7 | (y & 7) << 3)
-        }))
-    }
-
-    /// Which corners lie inside, one bit each.
-    #[inline(always)]
-    pub fn pattern(&self, voxels: &[Voxels]) -> usize {
-        let inside = |&(block, slab, bit): &(usize, usize, usize)| {
-            (voxels[block].inside[slab] >> bit & 1) as usize
-        };
-        (0..8).fold(0, |pattern, corner| {
-            pattern | inside(&self.0[corner]) << corner
-        })
-    }
-}
-
-/// Blocks whose faces one task writes.
-const TASK_BLOCKS: usize = 256;
-
-struct Faces<'a> {
-    grid: &'a Grid<'a>,
-    blocks: std::ops::Range<usize>,
-}
-
-impl WithSimd for Faces<'_> {
-    type Output = Vec<[u32; 3]>;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Vec<[u32; 3]> {
-        let mut faces = Vec::new();
-        for block in self.blocks.clone() {
-            for (z, &word) in self.grid.cubes[block].crossed.iter().enumerate() {
-                for bit in bits(word) {
-                    self.cube(block, [bit & 7, bit >> 3, z], &mut faces);
-                }
-            }
-        }
-        faces
-    }
-}
-
-impl Faces<'_> {
-    #[inline(always)]
-    fn cube(&self, block: usize, low: [usize; 3], faces: &mut Vec<[u32; 3]>) {
-        let grid = self.grid;
-        let corners = CubeCorners::of(low, &grid.neighbours[block]);
-        let vertex = |edge: u8| {
-            let (block, slab, bit) = corners.0[grid.edges[edge as usize].0 as usize];
-            grid.vertices[block].vertex(edge as usize / 4, slab, bit)
-        };
-        let case = &grid.cases[corners.pattern(grid.voxels)];
-        faces.extend(case.iter().map(|face| face.map(vertex)));
-    }
 }
 
 #[cfg(test)]
