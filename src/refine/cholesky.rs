@@ -58,18 +58,22 @@ impl Analysis {
 }
 
 impl Factor<'_> {
-    /// Solves `A x = rhs`; `None` if memory does not suffice.
-    pub fn solve(&self, mut rhs: Vec<f64>) -> Option<Vec<f64>> {
-        let scratch = self.symbolic.solve_in_place_scratch::<f64>(1, Par::Seq);
+    /// Solves `A X = B` for several columns at once, which stand one after the other in `columns`; `None` if memory does not
+    /// suffice. The factor is read once for all of them, which is most of the cost.
+    pub fn solve(&self, mut columns: Vec<f64>) -> Option<Vec<f64>> {
+        let n_rows = self.symbolic.nrows();
+        let n_columns = columns.len() / n_rows;
+        let scratch = self
+            .symbolic
+            .solve_in_place_scratch::<f64>(n_columns, Par::Seq);
         let mut memory = MemBuffer::try_new(scratch).ok()?;
-        let n = rhs.len();
         LltRef::new(self.symbolic, &self.values).solve_in_place_with_conj(
             Conj::No,
-            MatMut::from_column_major_slice_mut(&mut rhs, n, 1),
+            MatMut::from_column_major_slice_mut(&mut columns, n_rows, n_columns),
             Par::Seq,
             MemStack::new(&mut memory),
         );
-        Some(rhs)
+        Some(columns)
     }
 
     /// The diagonal of `A⁻¹`. Costs about as much as two factorisations.

@@ -105,19 +105,20 @@ impl Pattern {
         let values = self.values(matrix, damping);
         let lower = SparseColMatRef::new(self.shape(), &values);
         let factor = self.analysis.factorise(lower)?;
-        let alone = factor.solve(matrix.gradient.iter().map(|slope| -slope).collect())?;
-        let groups = &matrix.groups;
-        let by_group: Option<Vec<Vec<f64>>> = groups
-            .iter()
-            .map(|group| factor.solve(group.coupling.clone()))
-            .collect();
-        let by_group = by_group?;
+        let (n, groups) = (matrix.gradient.len(), &matrix.groups);
+        let mut columns: Vec<f64> = matrix.gradient.iter().map(|slope| -slope).collect();
+        for group in groups {
+            columns.extend_from_slice(&group.coupling);
+        }
+        let mut columns = factor.solve(columns)?;
+        let by_group = columns.split_off(n);
+        let (by_group, alone): (Vec<&[f64]>, _) = (by_group.chunks(n).collect(), columns);
         let complement = DMatrix::from_fn(groups.len(), groups.len(), |k, l| {
             let own = match k == l {
                 true => groups[k].diagonal * (1.0 + damping) + NO_EVIDENCE,
                 false => 0.0,
             };
-            own - dot(&groups[k].coupling, &by_group[l])
+            own - dot(&groups[k].coupling, by_group[l])
         });
         let descent = groups
             .iter()
@@ -126,7 +127,7 @@ impl Pattern {
         let log_albedo = complement.cholesky()?.solve(&descent);
         let mut displacement = alone;
         for (by_group, albedo) in by_group.iter().zip(&log_albedo) {
-            for (x, by_albedo) in displacement.iter_mut().zip(by_group) {
+            for (x, by_albedo) in displacement.iter_mut().zip(*by_group) {
                 *x -= albedo * by_albedo;
             }
         }
@@ -269,14 +270,19 @@ fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
         let new = area_vector(face.map(moved));
         new.dot(&old) < MIN_COSINE * new.norm() * old.norm()
     };
+    // Only a face with a corner whose step has changed can have turned.
+    let mut has_changed = vec![true; step.len()];
     for _ in 0..HALVINGS {
         let faces = mesh.faces.par_iter();
-        let turned: Vec<&[u32; 3]> = faces.filter(|face| is_turned(face, step)).collect();
-        for &vertex in turned.iter().copied().flatten() {
-            step[vertex as usize] *= 0.5;
-        }
+        let suspects = faces.filter(|face| face.iter().any(|&vertex| has_changed[vertex as usize]));
+        let turned: Vec<&[u32; 3]> = suspects.filter(|face| is_turned(face, step)).collect();
         if turned.is_empty() {
             break;
+        }
+        has_changed.fill(false);
+        for &vertex in turned.into_iter().flatten() {
+            step[vertex as usize] *= 0.5;
+            has_changed[vertex as usize] = true;
         }
     }
 }
