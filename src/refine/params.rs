@@ -42,8 +42,8 @@ impl Default for RefineParams {
         RefineParams {
             edge_length_m: 0.0013,
             max_vertices: 250_000,
-            n_rounds: 4,
-            max_steps: 4,
+            n_rounds: 3,
+            max_steps: 3,
             patch_m: 0.02,
             patch_sigma_m: 0.0002,
             slope_sigma_rad: 0.15,
