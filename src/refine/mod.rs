@@ -41,6 +41,7 @@ mod selected_inverse;
 mod single_view;
 mod sites;
 mod solver;
+pub mod stages;
 #[cfg(test)]
 mod tests;
 mod view;
@@ -48,6 +49,7 @@ mod view;
 pub use albedo::{AlbedoMode, AlbedoParams};
 pub use alignment::AlignmentParams;
 pub use crop::{Crop, ObjectParams};
+pub use energy::{GroupTerms, NormalMatrix};
 pub use error::RefineError;
 pub use evidence::{Evidence, EvidenceSummary};
 pub use held_out::{HeldOut, ImageError, JudgedView, Judgement};
@@ -57,8 +59,8 @@ pub use optics::Optics;
 pub use params::RefineParams;
 pub use preparation::Subject;
 pub use single_view::surface_of_view;
-pub use solver::{Iteration, RefineStatus};
-pub use view::ImageTrust;
+pub use solver::{Iteration, RefineStatus, Step};
+pub use view::{HIDING_CELL_M, ImageTrust};
 
 use crate::geometry::TriMesh;
 use depth_camera::Image;
