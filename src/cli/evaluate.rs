@@ -1,7 +1,7 @@
 //! `relief evaluate`: how well refinement of a scan explains images that it was not made from, as in Section 5 of the paper.
 //!
 //! Views are left out in folds; each is rendered from the base and from the refined surface and compared with what the sensor
-//! saw. With `--ablations` the same is done with something changed ([`ablations`]), all judged by the same views. With `--truth` both surfaces are compared with a mesh measured by something better, which nothing else is
+//! saw. With `--ablations` the same is done with something changed (`ablations`), all judged by the same views. With `--truth` both surfaces are compared with a mesh measured by something better, which nothing else is
 //! given. The report is Markdown with pictures beside it.
 
 mod ablations;

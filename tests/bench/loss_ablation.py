@@ -7,6 +7,7 @@ This is scoring: it alone reads the session's measured poses and surface. In tur
 - as it is: tracked poses, fused surface;
 - true poses: fused at them, views aligned as always, and not at all;
 - one albedo: materials are not told apart;
+- true poses for fusion alone, or for the shading images alone;
 - true surface at true poses: the fused mesh within the object's box replaced by the true one, so that what hides, where albedos
   are estimated, and what the displacement starts from is right; what the refined mesh then lacks is what images and light model
   put in.
@@ -18,6 +19,7 @@ import pathlib
 import subprocess
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -54,6 +56,35 @@ def with_true_surface(score, truth, scan, folder):
     return folder
 
 
+def truth_from_scan(score, truth, scan):
+    """Takes a tracked scan's frame to the truth's: by the first camera's pose, then by the surface."""
+    first = truth.T[0]
+    vertices = score.load(str(scan / "base.ply"))[0] @ first[:3, :3].T + first[:3, 3]
+    inside = vertices[((vertices > truth.lo) & (vertices < truth.hi)).all(1)]
+    near = inside[np.linalg.norm(truth.closest(inside)[0] - inside, axis=1) < 0.02]
+    return score.icp(truth, near[:: max(1, len(near) // 30000)]) @ first
+
+
+def with_view_poses(score, scan, folder, moved):
+    """A copy of a scan, by links, with other poses of its shading images; `moved` gives them by time and present pose."""
+    if not folder.exists():
+        (folder / "snapshots").mkdir(parents=True)
+        for entry in scan.iterdir():
+            if entry.name != "snapshots":
+                (folder / entry.name).symlink_to(entry.resolve())
+        for image in sorted((scan / "snapshots").iterdir()):
+            copy = folder / "snapshots" / image.name
+            copy.mkdir()
+            for entry in image.iterdir():
+                if entry.name != "pose.txt":
+                    (copy / entry.name).symlink_to(entry.resolve())
+            times, poses = score.read_poses(image / "pose.txt")
+            pose = moved(times[0], poses[0])
+            turn = Rotation.from_matrix(pose[:3, :3]).as_quat()
+            (copy / "pose.txt").write_text(" ".join(f"{x:.9f}" for x in [times[0], *pose[:3, 3], *turn]) + "\n")
+    return folder
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("session", type=pathlib.Path)
@@ -85,6 +116,23 @@ def main():
     told("true poses", true / "base.ply", true / "refined.ply")
     again = relief(args, args.out / "unaligned", ["refine", true], unaligned)
     told("true poses, views not aligned", again / "refined.ply")
+    aligned = truth_from_scan(score, truth, tracked)
+
+    def true_pose(time, _):
+        return np.linalg.inv(aligned) @ truth.T[np.abs(truth.t - time).argmin()]
+
+    crossed = with_view_poses(score, tracked, args.out / "true-views", true_pose)
+    again = relief(args, args.out / "refined-from-true-views", ["refine", crossed])
+    told("fused at tracked poses, true poses of the shading images", again / "refined.ply")
+    tracked_images = args.out / "tracked-images"
+    if not tracked_images.exists():
+        tracked_images.mkdir()
+        for entry in true.iterdir():
+            other = tracked if entry.name == "snapshots" else true
+            (tracked_images / entry.name).symlink_to((other / entry.name).resolve())
+    crossed = with_view_poses(score, tracked_images, args.out / "tracked-views", lambda _, pose: aligned @ pose)
+    again = relief(args, args.out / "refined-from-tracked-views", ["refine", crossed])
+    told("fused at true poses, tracked poses of the shading images", again / "refined.ply")
     surface = with_true_surface(score, truth, true, args.out / "true-surface")
     for what, config in [("", ""), (", views not aligned", unaligned), (", one albedo", one_albedo)]:
         again = relief(args, args.out / f"from-true-surface{what.replace(', ', '-').replace(' ', '-')}", ["refine", surface], config)

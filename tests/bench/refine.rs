@@ -1,4 +1,4 @@
-//! What each step of refinement takes, on one thread.
+//! What each step of refinement takes, processor time on one thread.
 //!
 //! ```sh
 //! relief replay tests/data/demo --out out/demo
@@ -7,10 +7,16 @@
 //!
 //! Without `RELIEF_SCAN` the demo is fused first.
 
+#[path = "../../src/cli/processor_time.rs"]
+mod processor_time;
 #[path = "scan.rs"]
 mod scan;
 
-use criterion::{Criterion, SamplingMode};
+use criterion::{
+    Criterion, SamplingMode,
+    measurement::{Measurement, ValueFormatter, WallTime},
+};
+use processor_time::process_cpu_secs;
 use relief::{
     config::Config,
     devices::open_recording,
@@ -35,10 +41,46 @@ fn main() -> anyhow::Result<()> {
         Some(folder) => Scan::read(Path::new(&folder))?,
         None => fused_demo()?,
     };
-    let mut criterion = Criterion::default().configure_from_args();
+    let mut criterion = Criterion::default()
+        .with_measurement(ProcessorTime)
+        .configure_from_args();
     scan.with_subject(|subject| steps(&scan, subject, &mut criterion))?;
     criterion.final_summary();
     Ok(())
+}
+
+/// Processor time of this process, which other work on the machine disturbs less than wall time.
+struct ProcessorTime;
+
+impl Measurement for ProcessorTime {
+    type Intermediate = f64;
+    type Value = f64;
+
+    fn start(&self) -> f64 {
+        process_cpu_secs()
+    }
+
+    fn end(&self, start_secs: f64) -> f64 {
+        process_cpu_secs() - start_secs
+    }
+
+    fn add(&self, a: &f64, b: &f64) -> f64 {
+        a + b
+    }
+
+    fn zero(&self) -> f64 {
+        0.0
+    }
+
+    /// Nanoseconds, as the formatter has them.
+    fn to_f64(&self, secs: &f64) -> f64 {
+        1e9 * secs
+    }
+
+    fn formatter(&self) -> &dyn ValueFormatter {
+        const WALL_TIME: &WallTime = &WallTime;
+        WALL_TIME.formatter()
+    }
 }
 
 /// The recorded demo, fused into a temporary folder and read back.
@@ -69,7 +111,11 @@ fn fused_demo() -> anyhow::Result<Scan> {
     Scan::read(&out)
 }
 
-fn steps(scan: &Scan, subject: &Subject, criterion: &mut Criterion) -> anyhow::Result<()> {
+fn steps(
+    scan: &Scan,
+    subject: &Subject,
+    criterion: &mut Criterion<ProcessorTime>,
+) -> anyhow::Result<()> {
     let params = RefineParams::default();
     let stages = Stages::after_rounds(subject, &params, 1)?;
     let numeric = RefineParams {
