@@ -101,6 +101,9 @@ def main():
     def told(what, *meshes):
         for mesh in meshes:
             found = score.score(str(args.session), str(mesh), truth)
+            if "error" in found:
+                print(f"{what}, {mesh.stem}: {found['error']}", flush=True)
+                continue
             print(f"{what}, {mesh.stem}: normals {found['normal_mean_deg']:.2f}, detail {found['detail_rms_mm']:.3f} mm, "
                   f"mean {found['mean_mm']:.3f} mm, complete {found['completeness']:.3f}", flush=True)
 
