@@ -9,6 +9,7 @@ pub mod devices;
 pub mod evaluate;
 pub mod logging;
 pub mod package;
+pub mod processor_time;
 pub mod record;
 pub mod run;
 pub mod session;
@@ -377,7 +378,7 @@ pub struct EvaluateArgs {
         requires = "truth"
     )]
     pub truth_box: Option<RoiArg>,
-    /// Also with fewer views, tracked poses, one albedo, and other values of gamma
+    /// Also with fewer views, derivatives by differences, tracked poses, other materials and other values of gamma
     #[arg(long)]
     pub ablations: bool,
     /// Print one JSON object on standard output

@@ -6,6 +6,7 @@
 
 use super::{
     BenchArgs,
+    processor_time::process_cpu_secs,
     run::{self, Verdict},
 };
 use anyhow::Context;
@@ -20,7 +21,6 @@ use relief::{
     pipeline::{GivenPoses, infrared_optics, peak_memory_bytes},
 };
 use replay::Pacing;
-use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 use std::{
     path::Path,
@@ -286,10 +286,8 @@ impl Run {
     }
 }
 
-/// Processor time of this process so far, all threads together.
 fn process_cpu_ms() -> f64 {
-    let time = clock_gettime(ClockId::ProcessCPUTime);
-    1e3 * time.tv_sec as f64 + 1e-6 * time.tv_nsec as f64
+    1e3 * process_cpu_secs()
 }
 
 /// The median; 0 of nothing.

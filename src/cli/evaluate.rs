@@ -1,9 +1,10 @@
 //! `relief evaluate`: how well refinement of a scan explains images that it was not made from, as in Section 5 of the paper.
 //!
 //! Views are left out in folds; each is rendered from the base and from the refined surface and compared with what the sensor
-//! saw. With `--ablations` the same is done for fewer views, for other values of gamma and without pose refinement, all judged
-//! by the same views. With `--truth` both surfaces are compared with a mesh measured by something better, which nothing else is
+//! saw. With `--ablations` the same is done with something changed (`ablations`), all judged by the same views. With `--truth` both surfaces are compared with a mesh measured by something better, which nothing else is
 //! given. The report is Markdown with pictures beside it.
+
+mod ablations;
 
 use super::{
     EvaluateArgs,
@@ -14,14 +15,14 @@ use depth_camera::CameraInfo;
 use relief::{
     evaluate::{Cameras, SurfaceError, Truth, surface_error},
     export::{
-        Ablation, AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, MeanView,
-        PhongParams, PictureSize, TruthFigures, phong, read_ply, three_views, write_evaluation,
+        AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, MeanView, PhongParams,
+        PictureSize, TruthFigures, phong, read_ply, three_views, write_evaluation,
     },
     geometry::{CameraModel, Pose, RayGrid, TriMesh},
     pipeline::{OutputFolder, RecordedScan},
     refine::{
-        AlbedoMode, AlbedoParams, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject,
-        cross_validate, refine, select_object, select_roi, validate,
+        HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate, refine,
+        select_object, select_roi,
     },
     shading::Calibration,
     snapshot::ShadingSnapshot,
@@ -113,7 +114,7 @@ impl Scan {
             _ => cross_validate(&subject, params, n_folds, folded)?,
         };
         let ablations = match args.ablations {
-            true => self.ablations(&rays, calibration, params)?,
+            true => ablations::judged(self, &rays, calibration, params)?,
             false => Vec::new(),
         };
         let refined = refine(&subject, params, |_| true);
@@ -156,19 +157,8 @@ impl Scan {
         rays: &'a RayGrid,
         calibration: &'a Calibration,
     ) -> anyhow::Result<Optics<'a>> {
-        let light = self
-            .info
-            .light
-            .context("the scan does not say where its light is")?;
-        Ok(Optics {
-            rays,
-            light: calibration.light.near_light(&light),
-            full_scale: self
-                .info
-                .ir_full_scale
-                .context("the scan does not say what full scale is")?,
-            calibration,
-        })
+        Optics::of(&self.info, rays, calibration)
+            .context("the scan does not say where its light is, or what full scale is")
     }
 
     fn subject<'a>(&'a self, optics: &'a Optics<'a>) -> Subject<'a> {
@@ -183,88 +173,6 @@ impl Scan {
     fn left_out(&self, view: &JudgedView) -> LeftOutView {
         let frame_id = self.snapshots[view.index].frame_id;
         figures(Some(frame_id), &view.figures())
-    }
-
-    /// Every variation, judged by every fourth view and made from the rest.
-    fn ablations(
-        &self,
-        rays: &RayGrid,
-        calibration: &Calibration,
-        params: &RefineParams,
-    ) -> anyhow::Result<Vec<Ablation>> {
-        /// Shares of gamma that are tried.
-        const GAMMAS: [f64; 2] = [0.85, 1.15];
-        let n_views = self.snapshots.len();
-        let judges: Vec<usize> = (1..n_views).step_by(4).collect();
-        let rest: Vec<usize> = (0..n_views).filter(|view| !judges.contains(view)).collect();
-        let judged =
-            |what: String, calibration: &Calibration, params: &RefineParams, learning: &[usize]| {
-                let optics = self.optics(rays, calibration)?;
-                let views = validate(&self.subject(&optics), params, learning, &judges)?;
-                let overall = Judgement::of(&views).overall;
-                tracing::info!(what, "ablation judged");
-                anyhow::Ok(Ablation {
-                    what,
-                    figures: figures(None, &overall),
-                    slow_gain: overall.slow_gain,
-                })
-            };
-        let mut ablations = vec![judged(
-            "as configured".to_owned(),
-            calibration,
-            params,
-            &rest,
-        )?];
-        for n_learning in [1, 3, 6, 12, 24].into_iter().filter(|&n| n < rest.len()) {
-            let spread: Vec<usize> = (0..n_learning)
-                .map(|k| rest[k * rest.len() / n_learning])
-                .collect();
-            ablations.push(judged(
-                format!("{n_learning} views"),
-                calibration,
-                params,
-                &spread,
-            )?);
-        }
-        let mut held = params.clone();
-        held.alignment.iterations = 0;
-        ablations.push(judged(
-            "poses as tracked".to_owned(),
-            calibration,
-            &held,
-            &rest,
-        )?);
-        let one_albedo = RefineParams {
-            max_albedos: 1,
-            ..params.clone()
-        };
-        ablations.push(judged(
-            "one albedo".to_owned(),
-            calibration,
-            &one_albedo,
-            &rest,
-        )?);
-        let paper_groups = RefineParams {
-            albedo: AlbedoParams {
-                mode: AlbedoMode::Paper,
-            },
-            ..params.clone()
-        };
-        ablations.push(judged(
-            "albedo groups by the paper's rule".to_owned(),
-            calibration,
-            &paper_groups,
-            &rest,
-        )?);
-        for share in GAMMAS {
-            let gamma = share * calibration.gamma;
-            let other = Calibration {
-                gamma,
-                ..calibration.clone()
-            };
-            ablations.push(judged(format!("gamma {gamma:.2}"), &other, params, &rest)?);
-        }
-        Ok(ablations)
     }
 
     fn pictures(&self, judged: &[JudgedView], refined: Option<&TriMesh>) -> EvaluationPictures {

@@ -82,6 +82,8 @@ pub struct Ablation {
     pub figures: LeftOutView,
     /// Root mean square of the gains, less 1, that took up slow differences of brightness.
     pub slow_gain: f64,
+    /// Processor time of preparing, refining and judging, all threads together.
+    pub cpu_secs: f64,
 }
 
 /// What is shown.
@@ -158,13 +160,14 @@ fn markdown(report: &EvaluationReport) -> String {
         line(
             "\n## With something changed\n\nAll judged by the same quarter of the views, none of which was learnt from.\n",
         );
-        line(&format!("| changed | {COLUMNS} slow gain |"));
-        line(&format!("|---|{RULE}---|"));
+        line(&format!("| changed | {COLUMNS} slow gain | processor s |"));
+        line(&format!("|---|{RULE}---|---|"));
         for ablation in &report.ablations {
             line(&format!(
-                "{} {:.3} |",
+                "{} {:.3} | {:.1} |",
                 row(&ablation.what, &ablation.figures),
-                ablation.slow_gain
+                ablation.slow_gain,
+                ablation.cpu_secs
             ));
         }
     }
@@ -293,6 +296,7 @@ mod tests {
                 what: "3 views".into(),
                 figures: view,
                 slow_gain: 0.021,
+                cpu_secs: 12.34,
             }],
             not_refined_reason: None,
             pictures: EvaluationPictures {
@@ -308,7 +312,7 @@ mod tests {
             "{text}"
         );
         assert!(
-            text.contains("| 3 views |") && text.contains(" 0.021 |"),
+            text.contains("| 3 views |") && text.contains(" 0.021 | 12.3 |"),
             "{text}"
         );
         assert!(

@@ -115,16 +115,8 @@ impl RecordedScan {
             .into_iter()
             .find(|snapshot| snapshot.frame_id == frame_id)
             .ok_or(RecordedScanError::NotAShadingImage { frame_id, known })?;
-        let (Some(light), Some(full_scale)) = (info.light, info.ir_full_scale) else {
-            return Err(RecordedScanError::NoLight);
-        };
         let rays = RayGrid::new(CameraModel::new(info.intrinsics));
-        let optics = Optics {
-            rays: &rays,
-            light: calibration.light.near_light(&light),
-            full_scale,
-            calibration,
-        };
+        let optics = Optics::of(&info, &rays, calibration).ok_or(RecordedScanError::NoLight)?;
         Ok(RecordedScan {
             scan: FusedScan {
                 base: surface_of_view(&snapshot, &optics),

@@ -232,17 +232,10 @@ fn run_refine(
     object: &TriMesh,
     snapshots: &[ShadingSnapshot],
 ) -> Result<Refinement, String> {
-    let (Some(params), Some(full_scale), Some(light)) =
-        (&setup.refine, setup.info.ir_full_scale, setup.info.light)
-    else {
-        return Err(SWITCHED_OFF.to_owned());
-    };
     let rays = RayGrid::new(CameraModel::new(setup.info.intrinsics));
-    let optics = Optics {
-        rays: &rays,
-        light: setup.calibration.light.near_light(&light),
-        full_scale,
-        calibration: &setup.calibration,
+    let optics = Optics::of(&setup.info, &rays, &setup.calibration);
+    let (Some(params), Some(optics)) = (&setup.refine, optics) else {
+        return Err(SWITCHED_OFF.to_owned());
     };
     let mut first_energy = None;
     setup

@@ -1,7 +1,8 @@
 //! Interreflection in a corner: two planes at right angles light one another, summed square by square here.
 
+use super::optics::Optics;
 use super::scenes::{FULL_SCALE, calibration, optics};
-use super::view::{ImageTrust, Optics, View, ViewContext};
+use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
 use crate::geometry::{Pose, RayGrid, TriMesh};
 use crate::interreflection::WhiteLevel;

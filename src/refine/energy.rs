@@ -6,7 +6,8 @@
 //! one 3×3 block. Sums run over fixed tiles, in order.
 
 use super::couplings::Couplings;
-use super::observations::Observations;
+use super::numeric::{DisplacedNormals, JacobianMode};
+use super::observations::{Observation, Observations};
 use super::patches::Patch;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
@@ -49,6 +50,8 @@ pub struct Problem<'a> {
     pub patches: &'a [Patch],
     /// Edges of the mesh.
     pub edges: &'a EdgeAdjacency,
+    /// How the derivatives of the data term are found.
+    pub jacobian: JacobianMode,
 }
 
 /// Normal equations: `diagonal` by vertex, `off_diagonal` by edge, `gradient` by vertex; the groups' albedos beside them.
@@ -80,11 +83,13 @@ const TILE: usize = 2048;
 
 /// One facet's block of the normal equations.
 #[derive(Clone, Copy, Default)]
-struct FaceBlock {
-    jtj: Matrix3<f64>,
-    jtr: Vector3<f64>,
-    /// The same sums with the logarithm of the albedo in the place of one displacement, and of both.
-    by_albedo: (Vector3<f64>, f64, f64),
+pub struct FaceBlock {
+    /// By the displacements of its corners.
+    pub jtj: Matrix3<f64>,
+    /// Derivative of the energy by them.
+    pub jtr: Vector3<f64>,
+    /// The same sums with the logarithm of the albedo in the place of one displacement, of both, and its derivative.
+    pub by_albedo: (Vector3<f64>, f64, f64),
 }
 
 impl Problem<'_> {
@@ -211,24 +216,47 @@ impl Problem<'_> {
         matrix
     }
 
-    fn face_block(&self, surface: &Surface, albedos: &[f64], face: usize) -> FaceBlock {
-        let mut block = FaceBlock::default();
+    /// What the views say of one facet.
+    pub fn face_block(&self, surface: &Surface, albedos: &[f64], face: usize) -> FaceBlock {
         if self.observations.of(face).is_empty() {
-            return block;
+            return FaceBlock::default();
         }
-        let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
-            return block;
-        };
-        let by_corner = normal_by_displacement(surface, face, &normal);
         let albedo = self.albedo_of(face, albedos);
+        let block = match self.jacobian {
+            JacobianMode::Analytic => unit_normal(&surface.mesh, face).map(|(normal, area)| {
+                let by_corner = normal_by_displacement(surface, face, &normal);
+                // The pixel, d and l are held: only the normal moves with the displacements.
+                self.sum_over_views(face, (&normal, area), albedo, |seen| {
+                    let by_normal = seen.light() * -albedo;
+                    Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]))
+                })
+            }),
+            JacobianMode::Numeric => unit_normal(&surface.mesh, face)
+                .zip(DisplacedNormals::of(surface, face))
+                .map(|((normal, area), displaced)| {
+                    let row = |seen: &Observation| displaced.row(seen, albedo);
+                    self.sum_over_views(face, (&normal, area), albedo, row)
+                }),
+        };
+        block.unwrap_or_default()
+    }
+
+    /// Sums what the views say of a face; `row` gives the derivatives of a residual by the displacements of the corners.
+    #[inline]
+    fn sum_over_views(
+        &self,
+        face: usize,
+        (normal, area): (&Vector3<f64>, f64),
+        albedo: f64,
+        row: impl Fn(&Observation) -> Vector3<f64>,
+    ) -> FaceBlock {
+        let mut block = FaceBlock::default();
         for seen in self.observations.of(face) {
-            let Some(residual) = seen.residual(&normal, albedo) else {
+            let Some(residual) = seen.residual(normal, albedo) else {
                 continue;
             };
-            let weight = self.loss.weight(residual) * seen.covered(&normal, area);
-            // The pixel, d and l are held: only the normal moves with the displacements.
-            let by_normal = seen.light() * -albedo;
-            let row = Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]));
+            let weight = self.loss.weight(residual) * seen.covered(normal, area);
+            let row = row(seen);
             block.jtj += row * row.transpose() * weight;
             block.jtr += row * (weight * residual);
             let by_log_albedo = residual - f64::from(seen.observed);

@@ -108,6 +108,7 @@ impl Rounds<'_> {
             priors: prior_weights(self.params),
             edges: self.edges,
             patches: self.patches,
+            jacobian: self.params.jacobian,
         };
         let with_images = problem.linearise(surface, &albedo.groups, self.pattern.couplings());
         let without = problem.prior_matrix(&surface.total_m, self.pattern.couplings());

@@ -2,6 +2,7 @@
 
 use super::albedo::AlbedoParams;
 use super::alignment::AlignmentParams;
+use super::numeric::JacobianMode;
 use super::view::ImageTrust;
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +26,8 @@ pub struct RefineParams {
     pub patch_sigma_m: f64,
     /// Standard deviation of the slope of the displacement, radians: Eq. (7). 0.15 and 0.3 give the same surface.
     pub slope_sigma_rad: f64,
+    /// How the derivatives of the data term are found; both ways give the same surface.
+    pub jacobian: JacobianMode,
     /// Materials told apart by their albedo at most.
     pub max_albedos: usize,
     /// Whether light that arrives over other surfaces is predicted beside that of Eq. (1).
@@ -47,6 +50,7 @@ impl Default for RefineParams {
             patch_m: 0.02,
             patch_sigma_m: 0.0002,
             slope_sigma_rad: 0.15,
+            jacobian: JacobianMode::Analytic,
             max_albedos: 4,
             interreflection: true,
             albedo: AlbedoParams::default(),

@@ -62,7 +62,8 @@ impl Rounds<'_> {
         Some(albedo)
     }
 
-    fn estimate_albedo(
+    /// Groups and albedos of a surface; `current` gives the residuals whose outliers do not count.
+    pub fn estimate_albedo(
         &self,
         mesh: &TriMesh,
         observations: &Observations,
@@ -131,6 +132,7 @@ impl Rounds<'_> {
             priors: prior_weights(self.params),
             edges: self.edges,
             patches: self.patches,
+            jacobian: self.params.jacobian,
         };
         let solver = SolverParams {
             max_steps: self.params.max_steps,

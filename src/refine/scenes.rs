@@ -1,6 +1,7 @@
 //! Tiny scenes with closed-form answers for the tests of refinement.
 
-use super::view::{ImageTrust, Optics, View, ViewContext};
+use super::optics::Optics;
+use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, increment};
 use crate::shading::{Calibration, NearLight};
 use crate::snapshot::ShadingSnapshot;

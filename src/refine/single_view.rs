@@ -8,7 +8,8 @@
 //!
 //! Not handled: noise of the depth that goes together over more pixels than the filter reaches.
 
-use super::view::{Optics, SATURATION};
+use super::optics::Optics;
+use super::view::SATURATION;
 use crate::geometry::TriMesh;
 use crate::shading::linearise;
 use crate::snapshot::ShadingSnapshot;

@@ -101,7 +101,7 @@ impl Pattern {
 
     /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
     /// taken out by their Schur complement. `None` where H is not positive definite.
-    fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
+    pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
         let values = self.values(matrix, damping);
         let lower = SparseColMatRef::new(self.shape(), &values);
         let factor = self.analysis.factorise(lower)?;
@@ -159,11 +159,12 @@ impl Pattern {
 }
 
 /// Where the energy's quadratic model has its minimum.
-struct Step {
+#[derive(Clone, Debug, Serialize)]
+pub struct Step {
     /// Of each vertex along its direction, metres.
-    displacement: Vec<f64>,
+    pub displacement: Vec<f64>,
     /// Change of the logarithm of each group's albedo.
-    log_albedo: Vec<f64>,
+    pub log_albedo: Vec<f64>,
 }
 
 /// Keeps the system of the albedos solvable where nobody sees a group: next to nothing beside one pixel.

@@ -3,12 +3,13 @@
 use super::alignment::{AlignmentParams, AlignmentTarget, align_view};
 use super::couplings::Couplings;
 use super::energy::{PriorWeights, Problem, Surface};
+use super::numeric::JacobianMode;
 use super::observations::Observations;
+use super::optics::Optics;
 use super::rounds::{final_loss, prior_weights};
 use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views};
 use super::sites::Sites;
 use super::solver::{Pattern, SolverParams, minimise};
-use super::view::Optics;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::shading::Tukey;
@@ -78,6 +79,7 @@ fn gradient_matches_central_differences_of_the_energy() {
         },
         patches: &patches,
         edges: &edges,
+        jacobian: JacobianMode::Analytic,
     };
     let albedos = [ALBEDO, 0.97 * ALBEDO];
     let matrix = problem.linearise(&surface, &albedos, &couplings);
@@ -135,6 +137,7 @@ fn a_wrong_albedo_is_mended_and_bends_nothing() {
         priors: prior_weights(&params),
         patches: &patches,
         edges: &edges,
+        jacobian: JacobianMode::Analytic,
     };
     let pattern = Pattern::new(surface.mesh.vertices.len(), couplings).expect("memory");
     let solver = SolverParams {

@@ -2,43 +2,15 @@
 //! residual of Eq. (6) with its derivatives.
 
 use super::gain_field::GainField;
-use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, rasterise};
+use super::optics::Optics;
+use crate::geometry::{CameraModel, Pose, TriMesh, rasterise};
 use crate::interreflection::{IndirectLight, LitScene, PatchGrid, WhiteLevel};
-use crate::shading::{Calibration, LinearImage, NearLight, linearise};
+use crate::shading::{LinearImage, NearLight, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics};
 use nalgebra::{Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// What all views of one camera share.
-pub struct Optics<'a> {
-    /// Rays and camera of the images.
-    pub rays: &'a RayGrid,
-    /// The light.
-    pub light: NearLight,
-    /// IR counts at full scale.
-    pub full_scale: f64,
-    /// Response, flat field and noise.
-    pub calibration: &'a Calibration,
-}
-
-impl Optics<'_> {
-    /// The patches that light one another in an image.
-    pub(super) fn patch_grid(&self) -> PatchGrid {
-        PatchGrid::new(
-            self.rays.clone(),
-            self.light,
-            self.full_scale,
-            self.calibration,
-        )
-    }
-
-    /// The white level, if the device's calibration tells it.
-    pub(super) fn white_level(&self) -> Option<WhiteLevel> {
-        self.calibration.light.white_level.map(WhiteLevel)
-    }
-}
 
 /// What all views of one refinement share.
 pub struct ViewContext<'a> {

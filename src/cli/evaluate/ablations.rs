@@ -1,0 +1,110 @@
+//! `relief evaluate --ablations`: the same with something changed, judged by every fourth view and made from the rest.
+
+use super::{super::processor_time::process_cpu_secs, Scan, figures};
+use relief::{
+    export::Ablation,
+    geometry::RayGrid,
+    refine::{AlbedoMode, AlbedoParams, JacobianMode, Judgement, RefineParams, validate},
+    shading::Calibration,
+};
+
+/// What one variation is made with.
+struct Variation {
+    what: String,
+    calibration: Calibration,
+    params: RefineParams,
+    /// Numbers of the views to learn from.
+    learning: Vec<usize>,
+}
+
+/// Every variation.
+pub fn judged(
+    scan: &Scan,
+    rays: &RayGrid,
+    calibration: &Calibration,
+    params: &RefineParams,
+) -> anyhow::Result<Vec<Ablation>> {
+    let n_views = scan.snapshots.len();
+    let judges: Vec<usize> = (1..n_views).step_by(4).collect();
+    let rest: Vec<usize> = (0..n_views).filter(|view| !judges.contains(view)).collect();
+    let judge = |variation: Variation| {
+        let Variation {
+            what,
+            calibration,
+            params,
+            learning,
+        } = variation;
+        let optics = scan.optics(rays, &calibration)?;
+        let start_secs = process_cpu_secs();
+        let views = validate(&scan.subject(&optics), &params, &learning, &judges)?;
+        let cpu_secs = process_cpu_secs() - start_secs;
+        let overall = Judgement::of(&views).overall;
+        tracing::info!(what, cpu_secs, "ablation judged");
+        Ok(Ablation {
+            what,
+            figures: figures(None, &overall),
+            slow_gain: overall.slow_gain,
+            cpu_secs,
+        })
+    };
+    let variations = variations(calibration, params, &rest);
+    variations.into_iter().map(judge).collect()
+}
+
+fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) -> Vec<Variation> {
+    /// Shares of gamma that are tried.
+    const GAMMAS: [f64; 2] = [0.85, 1.15];
+    /// Numbers of views that are tried.
+    const N_VIEWS: [usize; 5] = [1, 3, 6, 12, 24];
+    let with = |what: &str, change: &dyn Fn(&mut RefineParams)| {
+        let mut changed = params.clone();
+        change(&mut changed);
+        Variation {
+            what: what.to_owned(),
+            calibration: calibration.clone(),
+            params: changed,
+            learning: rest.to_vec(),
+        }
+    };
+    let mut variations = vec![
+        with("as configured", &|_| {}),
+        with("derivatives by differences", &|params| {
+            params.jacobian = JacobianMode::Numeric;
+        }),
+    ];
+    for n_learning in N_VIEWS.into_iter().filter(|&n| n < rest.len()) {
+        let spread = (0..n_learning).map(|k| rest[k * rest.len() / n_learning]);
+        variations.push(Variation {
+            learning: spread.collect(),
+            ..with(&format!("{n_learning} views"), &|_| {})
+        });
+    }
+    variations.extend([
+        with("poses as tracked", &|params| {
+            params.alignment.iterations = 0
+        }),
+        with("one gain a view, no field", &|params| {
+            params.trust.gain_cell_m = 10.0;
+        }),
+        with("light of the lamp alone", &|params| {
+            params.interreflection = false;
+        }),
+        with("one albedo", &|params| params.max_albedos = 1),
+        with("albedo groups by the paper's rule", &|params| {
+            params.albedo = AlbedoParams {
+                mode: AlbedoMode::Paper,
+            };
+        }),
+    ]);
+    for share in GAMMAS {
+        let gamma = share * calibration.gamma;
+        variations.push(Variation {
+            calibration: Calibration {
+                gamma,
+                ..calibration.clone()
+            },
+            ..with(&format!("gamma {gamma:.2}"), &|_| {})
+        });
+    }
+    variations
+}

@@ -1,0 +1,45 @@
+//! What refinement has to know of the camera and its light.
+
+use crate::geometry::RayGrid;
+use crate::interreflection::{PatchGrid, WhiteLevel};
+use crate::shading::{Calibration, NearLight};
+use depth_camera::CameraInfo;
+
+/// What all views of one camera share.
+pub struct Optics<'a> {
+    /// Rays and camera of the images.
+    pub rays: &'a RayGrid,
+    /// The light.
+    pub light: NearLight,
+    /// IR counts at full scale.
+    pub full_scale: f64,
+    /// Response, flat field and noise.
+    pub calibration: &'a Calibration,
+}
+
+impl<'a> Optics<'a> {
+    /// The optics of a camera; `None` if it does not say where its light is, or what full scale is.
+    pub fn of(info: &CameraInfo, rays: &'a RayGrid, calibration: &'a Calibration) -> Option<Self> {
+        Some(Optics {
+            rays,
+            light: calibration.light.near_light(&info.light?),
+            full_scale: info.ir_full_scale?,
+            calibration,
+        })
+    }
+
+    /// The patches that light one another in an image.
+    pub(super) fn patch_grid(&self) -> PatchGrid {
+        PatchGrid::new(
+            self.rays.clone(),
+            self.light,
+            self.full_scale,
+            self.calibration,
+        )
+    }
+
+    /// The white level, if the device's calibration tells it.
+    pub(super) fn white_level(&self) -> Option<WhiteLevel> {
+        self.calibration.light.white_level.map(WhiteLevel)
+    }
+}
