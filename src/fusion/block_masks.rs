@@ -52,11 +52,11 @@ impl Voxels {
         let least = (min_weight * WEIGHT_ONE).ceil().max(1.0) as u16;
         // Loops over the whole block, which the compiler turns into vector code, where it would unroll shorter ones.
         let (mut is_seen, mut is_inside) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
-        for voxel in 0..BLOCK_VOXELS {
-            is_seen[voxel] = u8::from(block.weight[voxel] >= least);
+        for (is_seen, &weight) in is_seen.iter_mut().zip(&block.weight) {
+            *is_seen = u8::from(weight >= least);
         }
-        for voxel in 0..BLOCK_VOXELS {
-            is_inside[voxel] = is_seen[voxel] & u8::from(block.tsdf[voxel] < 0);
+        for ((is_inside, &is_seen), &tsdf) in is_inside.iter_mut().zip(&is_seen).zip(&block.tsdf) {
+            *is_inside = is_seen & u8::from(tsdf < 0);
         }
         let mut voxels = Voxels::default();
         let is_seen = is_seen.as_chunks::<BRICK_VOXELS>().0.iter();

@@ -174,11 +174,10 @@ impl OfBlock for Grid<'_> {
             edges,
             ..Surface::default()
         };
-        for axis in 0..3 {
-            for (before, word) in surface.before[axis].iter_mut().zip(edges[axis]) {
-                *before = surface.n_vertices as u16;
-                surface.n_vertices += word.count_ones();
-            }
+        let words = edges.as_flattened().iter();
+        for (before, word) in surface.before.as_flattened_mut().iter_mut().zip(words) {
+            *before = surface.n_vertices as u16;
+            surface.n_vertices += word.count_ones();
         }
         if cubes.any_crossed() {
             let (corners, cases) = (Corners::of(self.voxels, neighbours), cases());
