@@ -18,12 +18,15 @@ fn policy() -> u32 {
 
 #[test]
 fn a_thread_and_those_it_starts_are_idle_and_the_others_are_not() {
-    let policies = thread::spawn(|| {
-        let before = policy();
-        idle_class::enter().unwrap();
-        let started = thread::spawn(policy).join().unwrap();
-        [before, policy(), started]
+    let started = || thread::scope(|scope| scope.spawn(policy).join().unwrap());
+    let policies = thread::scope(|scope| {
+        let entering = scope.spawn(|| {
+            let before = policy();
+            idle_class::enter().unwrap();
+            [before, policy(), started()]
+        });
+        entering.join().unwrap()
     });
-    assert_eq!(policies.join().unwrap(), [OTHER, IDLE, IDLE]);
+    assert_eq!(policies, [OTHER, IDLE, IDLE]);
     assert_eq!(policy(), OTHER);
 }
