@@ -261,6 +261,9 @@ pub struct ChildArgs {
     /// Folder that the outputs will be moved into, as the report is to name it
     #[arg(long, value_name = "DIR", hide = true)]
     pub deliver_to: Option<PathBuf>,
+    /// Take the turns of processor and disk that nobody else wants
+    #[arg(long, hide = true)]
+    pub idle: bool,
     /// Niceness to add
     #[arg(long, value_name = "N", hide = true, value_parser = clap::value_parser!(i32).range(0..=19))]
     pub nice: Option<i32>,
@@ -279,6 +282,7 @@ impl ChildArgs {
     /// What the process imposes on itself.
     pub fn limits(&self) -> Limits {
         Limits {
+            idle: self.idle,
             nice: self.nice,
             max_memory_mb: self.max_memory_mb,
             max_cpu_secs: self.max_cpu_secs,

@@ -10,8 +10,8 @@ use std::path::PathBuf;
 pub enum Tracked {
     /// The camera's pose at a time of its own clock, seconds.
     Pose(f64, Pose),
-    /// All poses of the camera with their times, seconds, that replace those told so far.
-    Corrected(Vec<(f64, Pose)>),
+    /// At the end all poses of the fused frames with their times, seconds, as they are known then.
+    Trajectory(Vec<(f64, Pose)>),
     /// Something happened.
     Event(Event),
 }

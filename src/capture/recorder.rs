@@ -22,13 +22,13 @@ pub struct RecorderSummary {
     pub outputs: Vec<PathBuf>,
     /// Frames recorded.
     pub n_recorded: usize,
-    /// The camera's poses with their times, seconds, in the order in which they came.
+    /// Poses of the fused frames with their times, seconds, as they were told of at the end.
     pub trajectory: Vec<(f64, Pose)>,
     /// Data that could not be written, in sentences for the operator.
     pub failures: Vec<String>,
 }
 
-/// Writes what it is given into one folder, and collects the trajectory. The first failure to write ends that recording, and is told once.
+/// Writes what it is given into one folder. The first failure to write ends that recording, and is told once.
 pub struct Recorder {
     folder: PathBuf,
     frames: Option<FrameRecorder>,
@@ -108,10 +108,9 @@ impl Recorder {
     pub fn tracked(&mut self, tracked: Tracked) {
         match tracked {
             Tracked::Pose(time_secs, pose) => {
-                self.summary.trajectory.push((time_secs, pose));
                 self.with_recording(|frames| frames.pose(time_secs, &pose));
             }
-            Tracked::Corrected(trajectory) => self.summary.trajectory = trajectory,
+            Tracked::Trajectory(trajectory) => self.summary.trajectory = trajectory,
             Tracked::Event(event) => {
                 if let EventKind::Snapshot { .. } = event.kind {
                     self.with_recording(|frames| frames.snapshot(event.frame_id));

@@ -56,14 +56,14 @@ pub(super) fn fitness(
     .max(0.0)
 }
 
-/// Judges how far the camera has moved in a time.
+/// Judges how far the camera has moved in a time, of which at most `max_secs` count.
 pub(super) fn judge_motion(
     motion: &Motion,
     elapsed_secs: f64,
+    max_secs: f64,
     params: &FusionParams,
 ) -> Result<(), LossReason> {
-    // A frame later than a tenth of a second ago does not entitle to a longer jump.
-    let elapsed = elapsed_secs.clamp(1.0 / 60.0, 0.1);
+    let elapsed = elapsed_secs.clamp(1.0 / 60.0, max_secs);
     if motion.rotation_rad > params.max_rotation_rad_per_s * elapsed
         || motion.translation_m > params.max_speed_m_per_s * elapsed
     {

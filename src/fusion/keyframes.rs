@@ -1,7 +1,8 @@
 //! The frames that were fused, kept small: packed depth with the pose at which each was fused.
 //!
-//! Memory is bounded: when the packed images outgrow it, every second frame is let go, and from then on every second frame
-//! is kept, and so on.
+//! Memory is bounded: once the packed images have filled it, every second frame is let go, from the first on and one for each
+//! that comes, until all are twice as far apart; from then on every second frame is kept, and so on. So memory is always used
+//! in full, and never more.
 
 use super::eye::Eye;
 use super::packed_depth::PackedDepth;
@@ -35,6 +36,8 @@ pub struct Keyframes {
     memory_bytes: usize,
     /// One frame in so many is kept.
     stride: usize,
+    /// The frame that is let go next: those before it are twice as far apart as those after it.
+    next_to_go: usize,
     /// Frames offered since the last that was kept.
     n_skipped: usize,
 }
@@ -47,6 +50,7 @@ impl Keyframes {
             max_bytes,
             memory_bytes: 0,
             stride: 1,
+            next_to_go: 1,
             n_skipped: 0,
         }
     }
@@ -73,24 +77,26 @@ impl Keyframes {
             stretch,
         });
         while self.memory_bytes > self.max_bytes && self.frames.len() > 1 {
-            self.thin_out();
+            self.let_one_go();
         }
     }
 
     /// Lets all but the first `n` frames go.
     pub fn truncate(&mut self, n: usize) {
         self.frames.truncate(n);
+        self.next_to_go = self.next_to_go.clamp(1, n.max(1));
         self.memory_bytes = self.frames.iter().map(|f| f.depth.memory_bytes()).sum();
     }
 
-    fn thin_out(&mut self) {
-        let mut index = 0;
-        self.frames.retain(|_| {
-            index += 1;
-            index % 2 == 1
-        });
-        self.stride *= 2;
-        self.memory_bytes = self.frames.iter().map(|f| f.depth.memory_bytes()).sum();
+    /// Lets one of at least two frames go.
+    fn let_one_go(&mut self) {
+        if self.next_to_go >= self.frames.len() {
+            self.stride *= 2;
+            self.next_to_go = 1;
+        }
+        let gone = self.frames.remove(self.next_to_go);
+        self.memory_bytes -= gone.depth.memory_bytes();
+        self.next_to_go += 1;
     }
 }
 
@@ -102,24 +108,34 @@ mod tests {
     use depth_camera::Sensor;
 
     #[test]
-    fn memory_stays_bounded_and_the_frames_evenly_spread() {
+    fn memory_is_used_in_full_and_the_frames_are_evenly_spread() {
         let camera = distorted_camera();
         let noise = DepthNoise::of_sensor(Sensor::Kinect2);
         let mut eye = Eye::new(&camera, noise, FusionParams::default().depth_range());
         assert!(eye.take(&Image::filled(512, 424, 0.7f32)));
         let max_bytes = 20 * 512 * 424;
         let mut keyframes = Keyframes::new(max_bytes);
-        for frame in 0..100 {
+        let mut n_most = 0;
+        for frame in 0..200 {
             keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
-            assert!(keyframes.memory_bytes <= max_bytes);
+            let frames = keyframes.frames();
+            let held: usize = frames.iter().map(|f| f.depth.memory_bytes()).sum();
+            assert!(held == keyframes.memory_bytes && held <= max_bytes);
+            // What was full once stays full.
+            assert!(frames.len() >= n_most);
+            n_most = frames.len();
+            let gaps = frames.windows(2).map(|f| f[1].time_secs - f[0].time_secs);
+            let (least, most) = gaps.fold((f64::INFINITY, 0.0), |(least, most), gap| {
+                (gap.min(least), gap.max(most))
+            });
+            assert!(frames[0].time_secs == 0.0 && most <= 2.0 * least);
+            assert!(frame as f64 - frames[frames.len() - 1].time_secs <= most);
         }
-        let times: Vec<f64> = keyframes.frames().iter().map(|f| f.time_secs).collect();
-        assert!(times.len() >= 9 && times[0] == 0.0, "{times:?}");
-        let step = times[1];
-        assert!(
-            times
-                .windows(2)
-                .all(|pair| (pair[1] - pair[0] - step).abs() < 0.5 * step + 0.1)
-        );
+        assert!(n_most >= 18, "{n_most}");
+        keyframes.truncate(3);
+        for frame in 200..400 {
+            keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
+        }
+        assert_eq!(keyframes.frames().len(), n_most);
     }
 }

@@ -88,7 +88,7 @@ use infrared::Infrared;
 use keyframes::Keyframes;
 use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
-use track::Track;
+use track::{MAX_PREDICTION_SECS, STEADY_SECS, Track};
 use volume::TsdfVolume;
 
 /// The model image has 1/4 of the frame's resolution; the signed distances themselves give the last accuracy.
@@ -99,6 +99,9 @@ const MODEL_LEVEL: usize = 1;
 const SETTLING_ITERATIONS: [usize; 2] = [4, 8];
 const MAX_SETTLING_RAD: f64 = 0.02;
 const MAX_SETTLING_M: f64 = 0.01;
+
+/// After an interruption longer absence does not entitle to a longer jump, seconds.
+const MAX_INTERRUPTED_SECS: f64 = 0.1;
 
 /// Asked by long work, once a frame or a pair of fragments, whether it shall go on.
 pub type GoesOn<'a> = dyn Fn() -> bool + Sync + 'a;
@@ -323,9 +326,24 @@ impl Fusion {
         };
         let found = self
             .locate(model, &self.track, time_secs, on_step)
-            .and_then(|found| self.resume(found))
+            .or_else(|reason| self.locate_at_rest(model, time_secs).ok_or(reason))
+            .and_then(|found| self.resume(found, time_secs))
             .or_else(|reason| self.confirm(time_secs).ok_or(reason));
         found.map(|(pose, fit)| (pose, Some(fit)))
+    }
+
+    /// Aligns the frame in hand from where the camera was last, if it had time to stop or to turn back since.
+    fn locate_at_rest(&self, model: &ModelMap, time_secs: f64) -> Option<(Pose, Fit)> {
+        if self.track.is_at_rest() || !self.is_after_gap(time_secs) {
+            return None;
+        }
+        self.locate(model, &self.track.at_rest(), time_secs, &mut |_| {})
+            .ok()
+    }
+
+    /// Whether frames are missing between the last one and the one in hand, so that the camera may have done anything.
+    fn is_after_gap(&self, time_secs: f64) -> bool {
+        time_secs - self.track.time_secs > STEADY_SECS
     }
 
     /// Aligns the frame in hand to the model as seen from the pose of a track, and judges the result.
@@ -349,13 +367,17 @@ impl Fusion {
             .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
         let motion = motion_between(&track.world_from_camera, &pose);
-        gates::judge_motion(&motion, time_secs - track.time_secs, &self.params)?;
+        let max_secs = match self.is_interrupted {
+            true => MAX_INTERRUPTED_SECS,
+            false => MAX_PREDICTION_SECS,
+        };
+        gates::judge_motion(&motion, time_secs - track.time_secs, max_secs, &self.params)?;
         Ok((pose, fit))
     }
 
-    /// After an interruption the camera may be elsewhere: a pose is then believed as one that was searched for.
-    fn resume(&self, (pose, fit): (Pose, Fit)) -> Result<(Pose, Fit), LossReason> {
-        if self.is_interrupted
+    /// After an interruption or a gap the camera may be elsewhere: a pose is then believed as one that was searched for.
+    fn resume(&self, (pose, fit): (Pose, Fit), time_secs: f64) -> Result<(Pose, Fit), LossReason> {
+        if (self.is_interrupted || self.is_after_gap(time_secs))
             && relocalise::believe(&pose, &fit, &self.eye, &self.volume).is_none()
         {
             return Err(LossReason::Elsewhere);
@@ -397,6 +419,7 @@ impl Fusion {
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         let (eye, volume) = (&mut self.eye, &mut self.volume);
         eye.fuse_into(volume, &mut self.band, &world_from_camera, on_step);
+        self.places.forget_views();
         let map = self
             .model
             .get_or_insert_with(|| ModelMap::of_level(eye.level(MODEL_LEVEL)));

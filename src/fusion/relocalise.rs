@@ -5,10 +5,13 @@
 //! can: what the frame shows and what the model shows from the pose found must agree. Even then the pose is a hypothesis that
 //! the next frame has to confirm.
 //!
+//! A lost frame must not take much longer than a tracked one, or the camera is gone before it is found. So the model is looked
+//! at from few places a frame; these views hold as long as nothing is fused, and are kept for the frames that follow.
+//!
 //! Not handled: places that were never seen from near where the camera is now.
 
 use super::eye::Eye;
-use super::icp::CastModel;
+use super::icp::{self, CastModel};
 use super::pyramid::{FramePyramid, N_REDUCED};
 use super::raycast::{ModelMap, raycast_anywhere};
 use super::track::Track;
@@ -16,6 +19,7 @@ use super::volume::TsdfVolume;
 use super::{Fit, FusionParams, MODEL_LEVEL, align, gates};
 use crate::geometry::{Pose, motion_between};
 use nalgebra::{Point3, Vector3};
+use std::collections::BTreeMap;
 
 /// The level at whose resolution the model is looked at from a place, which is only near the camera; what is found is looked at
 /// as in tracking.
@@ -33,6 +37,13 @@ const PLACE_TRANSLATION_M: f64 = 0.08;
 const MAX_PLACES: usize = 2000;
 /// So many of the places that look most alike are tried.
 const N_CANDIDATES: usize = 5;
+/// The model is looked at from so many of them a frame that it was not looked at from before: rays that march through the whole
+/// range are most of what a lost frame costs.
+const N_NEW_VIEWS: usize = 2;
+/// So many views are kept, of 81 kB for a Kinect II.
+const MAX_VIEWS: usize = 32;
+/// So many of the poses that lie best on a place's view are looked at closely.
+const N_CLOSE_LOOKS: usize = 2;
 /// Least share of the frame's points on the model; tracking believes in 0.35, but knows where it was before.
 const MIN_INLIER_SHARE: f64 = 0.5;
 /// Surfaces closer than this many sigmas of the depth noise are the same: drift of 10 mm and slant are to be allowed for.
@@ -47,9 +58,14 @@ const MAX_SEE_THROUGH_SHARE: f64 = 0.02;
 /// Mean depths of the cells of a depth image, metres; 0 where most pixels are missing.
 type Thumbnail = Vec<f32>;
 
-/// The places where the camera has been, in order of time.
+/// The places where the camera has been.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Places(Vec<Place>);
+pub(super) struct Places {
+    /// In order of time.
+    places: Vec<Place>,
+    /// The model as it is now seen from some of them, by their number.
+    views: BTreeMap<usize, ModelMap>,
+}
 
 /// A place, when the camera was there first (s), and what it saw.
 #[derive(Clone, Debug)]
@@ -74,8 +90,8 @@ impl Places {
             let motion = motion_between(&place.world_from_camera, &track.world_from_camera);
             motion.rotation_rad < PLACE_ROTATION_RAD && motion.translation_m < PLACE_TRANSLATION_M
         };
-        if self.0.len() < MAX_PLACES && !self.0.iter().any(is_near) {
-            self.0.push(Place {
+        if self.places.len() < MAX_PLACES && !self.places.iter().any(is_near) {
+            self.places.push(Place {
                 world_from_camera: track.world_from_camera,
                 time_secs: track.time_secs,
                 seen: thumbnail(&eye.frame),
@@ -85,58 +101,96 @@ impl Places {
 
     /// Forgets the places that were found later than `after_secs`.
     pub(super) fn forget_after(&mut self, after_secs: f64) {
-        self.0.retain(|place| place.time_secs <= after_secs);
+        self.places.retain(|place| place.time_secs <= after_secs);
+        self.forget_views();
     }
 
-    /// Poses of the places that look most like a frame, the likest first.
-    fn alike(&self, frame: &FramePyramid) -> Vec<Pose> {
+    /// Forgets the views of a model that has changed.
+    pub(super) fn forget_views(&mut self) {
+        self.views.clear();
+    }
+
+    /// The places that look most like a frame, the likest first.
+    fn alike(&self, frame: &FramePyramid) -> Vec<usize> {
         let live = thumbnail(frame);
-        let mut places: Vec<(f32, Pose)> = self
-            .0
+        let differences = self
+            .places
             .iter()
-            .map(|place| (difference(&live, &place.seen), place.world_from_camera))
-            .collect();
+            .map(|place| difference(&live, &place.seen));
+        let mut places: Vec<(f32, usize)> = differences.zip(0..).collect();
         places.sort_by(|a, b| a.0.total_cmp(&b.0));
         places.truncate(N_CANDIDATES);
-        places.into_iter().map(|(_, pose)| pose).collect()
+        places.into_iter().map(|(_, place)| place).collect()
+    }
+
+    /// Looks at the model from some of the places from which that was not done before.
+    fn look_from(&mut self, places: &[usize], eye: &Eye, volume: &TsdfVolume) {
+        if self.views.len() > MAX_VIEWS {
+            self.views.retain(|place, _| places.contains(place));
+        }
+        let is_new = |place: &&usize| !self.views.contains_key(place);
+        let new: Vec<usize> = places.iter().filter(is_new).copied().collect();
+        for place in new.into_iter().take(N_NEW_VIEWS) {
+            let pose = &self.places[place].world_from_camera;
+            let view = seen_from(pose, eye, volume, NEAR_LEVEL);
+            self.views.insert(place, view);
+        }
     }
 
     /// Where in the model a frame may have been taken: the candidate that looks least through the model of those that pass
-    /// every gate.
+    /// every gate. A frame like one before it is looked for from further places.
     pub(super) fn relocalise(
-        &self,
+        &mut self,
         eye: &Eye,
         volume: &TsdfVolume,
         params: &FusionParams,
     ) -> Option<Hypothesis> {
-        let tried = self.alike(&eye.frame).into_iter();
-        let found = tried.filter_map(|place| lock(&place, eye, volume, params));
+        let places = self.alike(&eye.frame);
+        self.look_from(&places, eye, volume);
+        let near = places.iter().filter_map(|place| {
+            let view = self.views.get(place)?;
+            let pose = &self.places[*place].world_from_camera;
+            let (pose, fit) = align_to(view, NEAR_LEVEL, pose, eye, volume, params)?;
+            (fit.inlier_share >= params.min_inlier_share).then_some((fit.inlier_share, pose))
+        });
+        let mut near: Vec<(f64, Pose)> = near.collect();
+        near.sort_by(|a, b| b.0.total_cmp(&a.0));
+        near.truncate(N_CLOSE_LOOKS);
+        let found = near
+            .iter()
+            .filter_map(|(_, pose)| lock(pose, eye, volume, params));
         found
             .min_by(|a, b| a.0.see_through_share.total_cmp(&b.0.see_through_share))
             .map(|(_, hypothesis)| hypothesis)
     }
 }
 
-/// Aligns the frame in hand to the model as seen from a place, then from where that puts it, and judges the result.
+/// Aligns the frame in hand to the model as seen from a pose.
+fn align_to(
+    map: &ModelMap,
+    level: usize,
+    pose: &Pose,
+    eye: &Eye,
+    volume: &TsdfVolume,
+    params: &FusionParams,
+) -> Option<(Pose, Fit)> {
+    let model = CastModel {
+        map,
+        lens: &eye.level(level).lens,
+        world_from_camera: pose,
+    };
+    align(eye, &model, volume, pose, params, None, &mut |_| {})
+}
+
+/// Aligns the frame in hand to the model as seen from near where it was taken, and judges the result.
 fn lock(
-    place: &Pose,
+    near: &Pose,
     eye: &Eye,
     volume: &TsdfVolume,
     params: &FusionParams,
 ) -> Option<(Fit, Hypothesis)> {
-    let align_from = |pose: &Pose, level: usize| {
-        let model = CastModel {
-            map: &seen_from(pose, eye, volume, level),
-            lens: &eye.level(level).lens,
-            world_from_camera: pose,
-        };
-        align(eye, &model, volume, pose, params, None, &mut |_| {})
-    };
-    let (near, fit) = align_from(place, NEAR_LEVEL)?;
-    if fit.inlier_share < params.min_inlier_share {
-        return None;
-    }
-    let (pose, fit) = align_from(&near, MODEL_LEVEL)?;
+    let view = seen_from(near, eye, volume, MODEL_LEVEL);
+    let (pose, fit) = align_to(&view, MODEL_LEVEL, near, eye, volume, params)?;
     gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
     let model = believe(&pose, &fit, eye, volume)?;
     Some((
@@ -152,9 +206,20 @@ fn lock(
 pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) -> Option<ModelMap> {
     let model = seen_from(pose, eye, volume, MODEL_LEVEL);
     let is_true = fit.inlier_share >= MIN_INLIER_SHARE
-        && fit.see_through_share <= MAX_SEE_THROUGH_SHARE
+        && see_through_share(eye, &model, pose, volume) <= MAX_SEE_THROUGH_SHARE
         && agreeing_share(eye, &model, pose) >= MIN_AGREEING_SHARE;
     is_true.then_some(model)
+}
+
+/// Share of the points seen through the model as it is seen from their own pose: from another one what that uncovers counts too.
+fn see_through_share(eye: &Eye, map: &ModelMap, pose: &Pose, volume: &TsdfVolume) -> f64 {
+    let level = eye.level(MODEL_LEVEL);
+    let model = CastModel {
+        map,
+        lens: &level.lens,
+        world_from_camera: pose,
+    };
+    icp::see_through_share(level, &model, pose, volume.truncation_m())
 }
 
 fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {

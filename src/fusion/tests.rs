@@ -157,6 +157,52 @@ fn dropped_frames_and_a_hand_before_the_lens_are_got_over() {
 }
 
 #[test]
+fn motion_is_carried_on_over_dropped_frames_by_their_times() {
+    let (frames, truth, camera) = frames(26);
+    let mut fusion = fusion(camera);
+    // A machine that is too slow for three of four frames.
+    for index in (0..5).chain((5..26).step_by(4)) {
+        let TrackingOutcome::Tracked {
+            world_from_camera, ..
+        } = fuse(&mut fusion, &frames[index])
+        else {
+            panic!("frame {index} is lost");
+        };
+        let off = motion_between(&truth[index], &world_from_camera);
+        // From afar alignment ends some voxels short of its aim, which the next frames make up for.
+        assert!(
+            off.translation_m < 0.01 && off.rotation_rad < 0.03,
+            "frame {index}: {off:?}"
+        );
+    }
+}
+
+#[test]
+fn what_is_fused_after_a_gap_lies_where_it_was_taken() {
+    let (frames, truth, camera) = frames(20);
+    let mut before = fusion(camera);
+    for frame in &frames[..8] {
+        fuse(&mut before, frame);
+    }
+    let outcomes = (8..20).map(|index| (index, fuse(&mut before.clone(), &frames[index])));
+    let mut n_tracked = 0;
+    for (index, outcome) in outcomes {
+        if let TrackingOutcome::Tracked {
+            world_from_camera, ..
+        } = outcome
+        {
+            let off = motion_between(&truth[index], &world_from_camera);
+            assert!(
+                off.translation_m < 0.04 && off.rotation_rad < 0.06,
+                "frame {index}: {off:?}"
+            );
+            n_tracked += 1;
+        }
+    }
+    assert!(n_tracked >= 4, "{n_tracked} of 12");
+}
+
+#[test]
 fn a_covered_lens_is_waited_out() {
     let (frames, _, camera) = frames(2);
     let mut fusion = fusion(camera);

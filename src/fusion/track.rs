@@ -3,8 +3,10 @@
 use crate::geometry::{Pose, increment};
 use nalgebra::Vector6;
 
-/// The motion of the last frame is carried on over gaps up to this long.
-const MAX_PREDICTION_SECS: f64 = 0.12;
+/// Over gaps up to this long the camera goes on as it did; over longer ones it may have turned back, or be elsewhere.
+pub const STEADY_SECS: f64 = 0.12;
+/// The motion of the last frames is carried on over gaps up to this long; arbitrary, a hand sweeps to and fro in about a second.
+pub const MAX_PREDICTION_SECS: f64 = 0.4;
 
 /// The camera's recent motion.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +33,16 @@ impl Track {
     pub fn predict(&self, time_secs: f64) -> Pose {
         let elapsed = (time_secs - self.time_secs).clamp(0.0, MAX_PREDICTION_SECS);
         self.world_from_camera * increment(&(self.velocity * elapsed))
+    }
+
+    /// The same camera, had it stopped when the last frame was taken.
+    pub fn at_rest(&self) -> Self {
+        Track::at(self.world_from_camera, self.time_secs)
+    }
+
+    /// Whether the camera is not known to move.
+    pub fn is_at_rest(&self) -> bool {
+        self.velocity == Vector6::zeros()
     }
 
     /// Forgets how the camera moved.

@@ -1,12 +1,12 @@
-//! Tells a child that hangs, without using the processor, from one that works.
+//! Tells a child that hangs, without using the processor, from one that works, or would if it had a turn.
 
 use std::{
     fs,
     time::{Duration, Instant},
 };
 
-/// Who uses less of a processor than this has come to a stand. A process of niceness 19 gets ten times as much beside a busy
-/// one; a timer that ticks five times a second, as that of a refinement's progress, takes less.
+/// Who uses less of a processor than this has come to a stand, if it does not wait for its turn. A process of niceness 19 gets
+/// ten times as much beside a busy one; a timer that ticks five times a second, as that of a refinement's progress, takes less.
 const MIN_SHARE: f64 = 0.001;
 
 /// Watches the processor time of one process.
@@ -41,7 +41,7 @@ impl Idleness {
         };
         let share = used.saturating_sub(self.used).as_secs_f64() / elapsed.as_secs_f64();
         (self.since, self.used) = (Instant::now(), used);
-        share < MIN_SHARE
+        share < MIN_SHARE && !waits_for_its_turn(self.pid)
     }
 }
 
@@ -51,6 +51,23 @@ fn processor_time(pid: u32) -> Option<Duration> {
     Some(Duration::from_secs_f64(
         ticks(&stat)? as f64 / rustix::param::clock_ticks_per_second() as f64,
     ))
+}
+
+/// Whether a thread of the process wants a turn at the processor or the disk, as one of the idle class may for long.
+fn waits_for_its_turn(pid: u32) -> bool {
+    let Ok(threads) = fs::read_dir(format!("/proc/{pid}/task")) else {
+        return false;
+    };
+    threads
+        .flatten()
+        .filter_map(|thread| fs::read_to_string(thread.path().join("stat")).ok())
+        .any(|stat| wants_a_turn(&stat))
+}
+
+/// Whether the state, proc_pid_stat(5), is one of waiting for processor or disk.
+fn wants_a_turn(stat: &str) -> bool {
+    let after_name = stat.rsplit_once(") ");
+    after_name.is_some_and(|(_, state)| state.starts_with(['R', 'D']))
 }
 
 /// The sum of `utime`, `stime`, `cutime` and `cstime`, proc_pid_stat(5); the name before them may hold anything.
@@ -74,6 +91,15 @@ mod tests {
         assert_eq!(ticks(stat), Some(110));
         assert_eq!(ticks("7 (a) S 1 7 7 0 -1 4194304 100 0 0 0 11 22"), None);
         assert_eq!(ticks(""), None);
+    }
+
+    #[test]
+    fn who_sleeps_wants_no_turn() {
+        assert!(wants_a_turn("7 (a) S) R 1 7 7 0"));
+        assert!(wants_a_turn("7 (a) D 1 7 7 0"));
+        assert!(!wants_a_turn("7 (R) S 1 7 7 0"));
+        assert!(waits_for_its_turn(std::process::id()), "who asks runs");
+        assert!(!waits_for_its_turn(u32::MAX));
     }
 
     #[test]

@@ -2,13 +2,15 @@
 //!
 //! The daemon could do so between fork and exec, but only by unsafe code; a flag says it as well.
 
-use super::WorkerParams;
+use super::{WorkerParams, params::Turns};
 use rustix::process::{self, Pid, Resource, Rlimit, Signal};
 use std::io;
 
 /// Priority and limits of a process. `None` leaves what it has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Limits {
+    /// Whether it takes the turns of processor and disk that nobody else wants.
+    pub idle: bool,
     /// Niceness to add, which the system also derives the priority at the disk from.
     pub nice: Option<i32>,
     /// Address space, MiB.
@@ -23,6 +25,7 @@ impl Limits {
     /// The limits of a child of this process.
     pub fn of_child(params: &WorkerParams) -> Self {
         Limits {
+            idle: params.turns == Turns::Idle,
             nice: Some(params.nice),
             max_memory_mb: Some(params.max_memory_mb),
             max_cpu_secs: Some(params.max_cpu_secs),
@@ -35,6 +38,7 @@ impl Limits {
         let flag =
             |name: &str, value: Option<String>| value.map(|value| format!("--{name}={value}"));
         [
+            self.idle.then(|| "--idle".to_owned()),
             flag("nice", self.nice.map(|nice| nice.to_string())),
             flag("max-memory-mb", self.max_memory_mb.map(|mb| mb.to_string())),
             flag(
@@ -62,6 +66,12 @@ impl Limits {
                     "the process that started this one is gone",
                 ));
             }
+        }
+        // Where the system knows no such class its niceness is left.
+        if self.idle
+            && let Err(error) = idle_class::enter()
+        {
+            tracing::warn!(%error, "not in the idle class");
         }
         if let Some(nice) = self.nice {
             process::nice(nice)?;

@@ -31,5 +31,5 @@ pub use child::ProgressLine;
 pub use error::JobError;
 pub use job::{Job, JobId, JobProgress, JobState};
 pub use limits::Limits;
-pub use params::WorkerParams;
+pub use params::{Turns, WorkerParams};
 pub use worker::{Worker, WorkerHandle, WorkerSetup, WorkerStatus};

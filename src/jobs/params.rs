@@ -2,10 +2,22 @@
 
 use serde::{Deserialize, Serialize};
 
+/// For which turns of the processor the child waits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Turns {
+    /// For those that nobody else wants: capture never waits for it.
+    Idle,
+    /// For its share, as of its niceness.
+    Shared,
+}
+
 /// How refinement is run beside capture.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorkerParams {
+    /// Turns of the child process at processor and disk.
+    pub turns: Turns,
     /// Niceness of the child process; 19 gives it a seventieth of what capture gets on a busy core, 10 a tenth.
     pub nice: i32,
     /// Address space of the child process, MiB; beyond it the attempt fails.
@@ -23,6 +35,7 @@ pub struct WorkerParams {
 impl Default for WorkerParams {
     fn default() -> Self {
         WorkerParams {
+            turns: Turns::Idle,
             nice: 19,
             max_memory_mb: 8192,
             max_cpu_secs: 14_400,

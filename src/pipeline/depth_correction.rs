@@ -66,10 +66,8 @@ const MAX_LOST_SHARE: f64 = 0.05;
 const MAX_GAP_SECS: f64 = 0.2;
 /// A field that changes by less, metres at a metre, is not worth fusing again.
 const MIN_FIELD_M: f64 = 1e-4;
-/// Predictions are thinned out to those of the frames that fusion still holds when they are so many times as many.
-const MAX_BIASES_A_FRAME: usize = 2;
-/// ... but not below this number.
-const MIN_BIASES: usize = 256;
+/// Predictions are thinned out to those of the frames that fusion still holds when there are so many more; arbitrary.
+const MAX_SPARE_BIASES: usize = 256;
 
 impl DepthCorrection {
     /// A correction for a camera with its calibration, for a scan that is fused with `fusion`.
@@ -112,7 +110,7 @@ impl DepthCorrection {
     /// Forgets the predictions of frames that fusion does not hold any more.
     pub fn thin_out(&mut self, fusion: &Fusion) {
         let frames = fusion.keyframes();
-        if self.biases.len() > MIN_BIASES.max(MAX_BIASES_A_FRAME * frames.len()) {
+        if self.biases.len() > frames.len() + MAX_SPARE_BIASES {
             let held: BTreeSet<i64> = frames.iter().map(|frame| nanos(frame.time_secs)).collect();
             self.biases.retain(|time, _| held.contains(time));
         }

@@ -2,7 +2,7 @@
 //!
 //! | edge | capacity | when full |
 //! |---|---|---|
-//! | device → fusion, frames | 4 | [`WhenFull`]: a recording blocks; a live device drops the oldest frame, which is counted |
+//! | device → fusion, frames | 4 | [`WhenFull`]: a recording blocks; a live device drops the oldest frame, which is counted; while the camera is lost all but the newest two |
 //! | device → recorder, frames | 64 | [`WhenFull`]: a recording blocks; a live device leaves out IR from three quarters on, then drops the frame; both are counted |
 //! | device, fusion → recorder, events and poses | 1024 | blocks: nothing of it may be lost, and the recorder never waits for its sender |
 //! | outside → fusion, commands | 8 | refused: whoever asks never waits |
@@ -60,6 +60,7 @@ pub struct FrameSender {
 /// Device → fusion, receiving end.
 pub struct FrameReceiver {
     channel: Receiver<Arc<Frame>>,
+    when_full: WhenFull,
     /// Tells a sender, which holds a receiver of its own, that nobody listens any more.
     alive: Option<Arc<()>>,
     status: StatusSlot,
@@ -80,6 +81,7 @@ pub fn frames(when_full: WhenFull, status: &StatusSlot) -> (FrameSender, FrameRe
     };
     let receiver = FrameReceiver {
         channel: receiver,
+        when_full,
         alive: Some(alive),
         status: status.clone(),
     };
@@ -126,6 +128,19 @@ impl FrameReceiver {
     /// The channel itself, to be waited for among others.
     pub fn channel(&self) -> &Receiver<Arc<Frame>> {
         &self.channel
+    }
+
+    /// Of a frame that was taken out and those behind it the newest two, the older first; the others are dropped. Where nothing
+    /// may be dropped, the frame alone.
+    pub fn newest_two(&self, frame: Arc<Frame>) -> impl Iterator<Item = Arc<Frame>> {
+        let (mut older, mut newest) = (None, frame);
+        if self.when_full == WhenFull::Drop {
+            for newer in self.channel.try_iter().take(FRAMES) {
+                let before = older.replace(std::mem::replace(&mut newest, newer));
+                before.into_iter().for_each(|_| dropped(&self.status));
+            }
+        }
+        older.into_iter().chain([newest])
     }
 }
 
@@ -264,6 +279,23 @@ mod tests {
         let accounts = status.get().frames;
         assert_eq!((accounts.dropped, accounts.in_flight), (10, 1));
         assert_eq!((accounts.produced, accounts.unaccounted()), (11, 0));
+    }
+
+    #[test]
+    fn of_frames_that_wait_the_newest_two_are_taken_where_some_may_be_dropped() {
+        for (when_full, expected) in [(WhenFull::Drop, vec![2, 3]), (WhenFull::Block, vec![0])] {
+            let status = StatusSlot::default();
+            let (sender, receiver) = frames(when_full, &status);
+            for frame_id in 0..4 {
+                assert!(sender.send(frame(frame_id)));
+            }
+            let first = receiver.channel().recv().unwrap();
+            let taken: Vec<u64> = receiver.newest_two(first).map(|f| f.frame_id).collect();
+            assert_eq!(taken, expected);
+            let accounts = status.get().frames;
+            assert_eq!(accounts.dropped, 2 * u64::from(when_full == WhenFull::Drop));
+            assert_eq!(accounts.unaccounted(), 0);
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::support::{PROGRAM, poll};
 use relief::{
     config::Config,
     export::read_ply,
-    jobs::{JobState, Worker, WorkerHandle, WorkerParams, WorkerSetup},
+    jobs::{JobState, Turns, Worker, WorkerHandle, WorkerParams, WorkerSetup},
 };
 use serde_json::Value;
 use std::{
@@ -68,6 +68,13 @@ fn niceness(process: &Path) -> i32 {
     after_name.split(' ').nth(16).unwrap().parse().unwrap()
 }
 
+/// The class of a process at the processor, sched(7): 0 is the common one.
+fn scheduling_policy(process: &Path) -> u32 {
+    let stat = fs::read_to_string(process.join("stat")).unwrap();
+    let after_name = stat.rsplit_once(") ").unwrap().1;
+    after_name.split(' ').nth(38).unwrap().parse().unwrap()
+}
+
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -86,6 +93,7 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
     let images = files(&scan.join("snapshots/000"));
     // Nicer, it would not get on where other tests keep the processors busy.
     let params = WorkerParams {
+        turns: Turns::Shared,
         nice: 3,
         ..WorkerParams::default()
     };
@@ -101,6 +109,7 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
     // Priority and limits, as the child has imposed them on itself.
     let own = niceness(Path::new("/proc/self"));
     assert_eq!(niceness(&child), (own + 3).min(19));
+    assert_eq!(scheduling_policy(&child), 0);
     let limits = fs::read_to_string(child.join("limits")).unwrap();
     for (name, value) in [
         ("Max address space", "8589934592"),
@@ -157,6 +166,7 @@ fn a_child_that_needs_more_memory_than_it_may_have_fails_and_says_so() {
     let (root, scan) = fused_demo();
     let before = files(&scan);
     let params = WorkerParams {
+        turns: Turns::Shared,
         max_memory_mb: 96,
         max_retries: 1,
         ..WorkerParams::default()

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 /// Longest body of a request, bytes.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// A JSON body; an empty one stands for the default.
+/// A JSON body; an empty one stands for the default, as `null` does.
 pub struct JsonBody<T>(pub T);
 
 impl<S: Send + Sync, T: DeserializeOwned + Default> FromRequest<S> for JsonBody<T> {
@@ -22,8 +22,8 @@ impl<S: Send + Sync, T: DeserializeOwned + Default> FromRequest<S> for JsonBody<
         if bytes.is_empty() {
             return Ok(JsonBody(T::default()));
         }
-        serde_json::from_slice(&bytes)
-            .map(JsonBody)
+        serde_json::from_slice::<Option<T>>(&bytes)
+            .map(|body| JsonBody(body.unwrap_or_default()))
             .map_err(|error| Problem::bad_request("bad_body", error))
     }
 }

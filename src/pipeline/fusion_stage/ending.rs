@@ -53,12 +53,14 @@ impl FusionStage {
                 faces = base.faces.len(),
                 "base mesh extracted"
             );
+            let trajectory = std::mem::take(&mut self.trajectory);
             self.summary.scan = Some(Arc::new(FusedScan {
                 base,
-                world_from_cameras: self.trajectory.iter().map(|(_, pose)| *pose).collect(),
+                world_from_cameras: trajectory.iter().map(|(_, pose)| *pose).collect(),
                 snapshots,
-                last_depth: self.last_depth,
+                last_depth: self.last_depth.take(),
             }));
+            self.send(Tracked::Trajectory(trajectory));
         }
         self.summary.timings = [
             self.correction_clock,
@@ -114,7 +116,6 @@ impl FusionStage {
                 correction.apply(snapshot.device_time_secs, &snapshot.world_from_camera);
         }
         self.measure_path();
-        self.send(Tracked::Corrected(self.trajectory.clone()));
     }
 }
 

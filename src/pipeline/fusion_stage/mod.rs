@@ -125,7 +125,7 @@ pub fn run(
     loop {
         select! {
             recv(frames.channel()) -> frame => match frame {
-                Ok(frame) => stage.handle(&frame),
+                Ok(frame) => stage.take(frame, &frames),
                 Err(_) => break,
             },
             default(LOOK_AROUND) => stage.look_around(),
@@ -239,6 +239,18 @@ impl FusionStage {
             revision_clock: StageClock::new("fusing again with corrected depth"),
             fusion_clock: StageClock::new("tracking and fusion"),
             selection_clock: StageClock::new("selection of shading images"),
+        }
+    }
+
+    /// A frame that was taken out of its edge. A lost camera is looked for in the newest frame but one, which the newest may
+    /// confirm: later ones, after the search, may show another place again.
+    fn take(&mut self, frame: Arc<Frame>, frames: &FrameReceiver) {
+        let is_sought = matches!(self.of_frames, State::Lost(_)) && !self.operator.is_paused;
+        if !is_sought {
+            return self.handle(&frame);
+        }
+        for frame in frames.newest_two(frame) {
+            self.handle(&frame);
         }
     }
 

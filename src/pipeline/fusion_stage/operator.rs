@@ -5,7 +5,7 @@ use super::{
     interim::{Interim, InterimWriter},
 };
 use crate::{
-    capture::{EventKind, Tracked},
+    capture::EventKind,
     geometry::motion_between,
     pipeline::{
         command::Command,
@@ -156,7 +156,6 @@ impl FusionStage {
         let n_frames = self.trajectory.len() - n_left;
         self.trajectory.truncate(n_left);
         self.measure_path();
-        self.send(Tracked::Corrected(self.trajectory.clone()));
         Some(n_frames)
     }
 

@@ -4,6 +4,7 @@ mod camera;
 mod device_thread;
 mod shim;
 mod slot;
+mod sync;
 
 pub use camera::{Freenect2Camera, LiveOptions};
 pub use shim::Library;

@@ -4,10 +4,11 @@
 //! one is the newest, one is being decoded. The library's thread never waits for a decoder.
 
 use std::{
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    sync::PoisonError,
     time::{Duration, Instant},
 };
 
+use super::sync::{Condvar, Mutex, MutexGuard};
 use crate::packet::PACKET_BYTES;
 
 /// Seconds of one tick of the device's clock.
@@ -202,6 +203,11 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shuttle::{check_random, thread};
+    use std::sync::Arc;
+
+    /// Orders that are tried; a packet has 3 MB.
+    const N_ORDERS: usize = 200;
 
     fn offer(slot: &PacketSlot, bytes: &[u8], timestamp: u32, sequence: u32) {
         slot.offer(Incoming {
@@ -212,8 +218,77 @@ mod tests {
         });
     }
 
+    /// Tries many orders in which the threads of a test may meet; one in which they wait for ever fails too.
+    fn in_many_orders(test: impl Fn() + Send + Sync + 'static) {
+        check_random(test, N_ORDERS);
+    }
+
+    /// Offers packets of these numbers, filled with them, as the library's thread does.
+    fn offering(slot: &Arc<PacketSlot>, numbers: std::ops::Range<u32>) -> thread::JoinHandle<()> {
+        let slot = slot.clone();
+        thread::spawn(move || {
+            let mut bytes = vec![0; PACKET_BYTES];
+            for number in numbers {
+                bytes.fill(number as u8);
+                offer(&slot, &bytes, number, number);
+            }
+        })
+    }
+
+    /// Takes packets until that of a position, which comes last; how many these are.
+    fn take_until(slot: &PacketSlot, last: u64) -> u64 {
+        let patience = Instant::now() + Duration::from_secs(3600);
+        let (mut mine, mut n_taken, mut before) = (Stamped::empty(), 0, None);
+        while before != Some(last) {
+            assert!(slot.take(&mut mine, patience));
+            let number = mine.position as u8;
+            let ends = [mine.bytes[0], mine.bytes[PACKET_BYTES - 1]];
+            assert_eq!(ends, [number, number], "whole, and of its place");
+            assert!(Some(mine.position) > before, "newer than the one before");
+            before = Some(mine.position);
+            n_taken += 1;
+        }
+        n_taken
+    }
+
+    #[test]
+    fn the_last_packet_is_always_taken_and_the_others_are_taken_or_counted() {
+        in_many_orders(|| {
+            let slot = Arc::new(PacketSlot::new());
+            let library = offering(&slot, 0..4);
+            let n_taken = take_until(&slot, 3);
+            library.join().unwrap();
+            let counts = slot.counts();
+            assert_eq!((counts.good, counts.lost), (4, 0));
+            assert_eq!(n_taken + counts.superseded, 4);
+        });
+    }
+
+    #[test]
+    fn positions_rise_over_a_stream_that_begins_anew() {
+        in_many_orders(|| {
+            let slot = Arc::new(PacketSlot::new());
+            let camera = slot.clone();
+            let taking = thread::spawn(move || take_until(&camera, 3));
+            offering(&slot, 0..2).join().unwrap();
+            slot.begin_stream();
+            // The device's numbers begin anew; what they fill is told by the place.
+            let mut bytes = vec![0; PACKET_BYTES];
+            for (sequence, place) in [(0, 2), (1, 3)] {
+                bytes.fill(place);
+                offer(&slot, &bytes, sequence, sequence);
+            }
+            taking.join().unwrap();
+            assert_eq!(slot.counts().out_of_order, 0);
+        });
+    }
+
     #[test]
     fn numbers_and_clock_go_on_over_their_wrap() {
+        check_random(wraps, 1);
+    }
+
+    fn wraps() {
         let (slot, bytes) = (PacketSlot::new(), vec![1; PACKET_BYTES]);
         let mut mine = Stamped::empty();
         offer(&slot, &bytes, u32::MAX - 7, u32::MAX);
@@ -229,6 +304,10 @@ mod tests {
 
     #[test]
     fn only_the_newest_is_kept_and_buffers_change_hands() {
+        check_random(changes_hands, 1);
+    }
+
+    fn changes_hands() {
         let slot = PacketSlot::new();
         let mut mine = Stamped::empty();
         let buffer = mine.bytes.as_ptr();
