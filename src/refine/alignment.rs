@@ -21,6 +21,9 @@ pub struct AlignmentParams {
     pub translation_sigma_m: f64,
     /// Standard deviation of a view's gain as a share of 1.
     pub gain_sigma: f64,
+    /// Distance over which what the surface and the light model get wrong goes together, metres: the residuals within it
+    /// tell as much as one. Taken for independent, they let views drift along with a surface that is slowly wrong.
+    pub correlation_m: f64,
     /// Gauss-Newton steps a round.
     pub iterations: usize,
 }
@@ -28,9 +31,10 @@ pub struct AlignmentParams {
 impl Default for AlignmentParams {
     fn default() -> Self {
         AlignmentParams {
-            rotation_sigma_rad: 0.005,
-            translation_sigma_m: 0.003,
-            gain_sigma: 0.03,
+            rotation_sigma_rad: 0.003,
+            translation_sigma_m: 0.0015,
+            gain_sigma: 0.015,
+            correlation_m: 0.03,
             iterations: 3,
         }
     }
@@ -86,6 +90,7 @@ fn normal_equations(
 ) -> (Matrix7, Vector7) {
     let centre = view.camera_from_world * target.centre;
     let (mut jtj, mut jtr) = prior(view, &centre, params);
+    let correlated_m2 = params.correlation_m * params.correlation_m;
     for &face in target.faces {
         let face = face as usize;
         let Some((normal, area)) = unit_normal(target.mesh, face) else {
@@ -98,7 +103,8 @@ fn normal_equations(
             continue;
         };
         let covered = sample.covered(view, area);
-        let weight = target.loss.weight(residual) * covered * target.stands_for;
+        let independent = (area / correlated_m2).min(1.0) * target.stands_for;
+        let weight = target.loss.weight(residual) * covered * independent;
         jtj += row * row.transpose() * weight;
         jtr += row * (residual * weight);
     }

@@ -98,6 +98,12 @@ impl RefineParams {
             ),
             ("alignment.gain_sigma", self.alignment.gain_sigma, 1e-6, 1.0),
             (
+                "alignment.correlation_m",
+                self.alignment.correlation_m,
+                1e-4,
+                10.0,
+            ),
+            (
                 "alignment.iterations",
                 self.alignment.iterations as f64,
                 0.0,
