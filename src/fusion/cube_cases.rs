@@ -5,8 +5,8 @@
 
 use std::sync::LazyLock;
 
-/// Most triangles that a cube has: eight corners, alternately inside and outside but for one, are cut by one ring of nine.
-const MAX_TRIANGLES: usize = 7;
+/// Most triangles that a cube has: a ring of seven edges is cut into so many, and so are rings of six and three together.
+const MAX_TRIANGLES: usize = 5;
 
 /// The triangles of one cube, by their edges (0 to 11).
 #[derive(Clone, Copy, Default)]

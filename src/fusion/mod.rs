@@ -57,6 +57,7 @@ mod pose_graph;
 pub(crate) mod bench_tests;
 mod block_masks;
 mod cube_cases;
+mod each_block;
 mod live_mesh;
 mod marching_cubes;
 #[cfg(test)]
