@@ -58,65 +58,22 @@ impl DisplacedNormals {
 
 #[cfg(test)]
 mod tests {
-    use super::super::couplings::Couplings;
-    use super::super::energy::Problem;
-    use super::super::observations::Observations;
-    use super::super::rounds::{final_loss, prior_weights};
-    use super::super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views};
-    use super::super::sites::Sites;
-    use super::super::solver::{Pattern, SolverParams, minimise};
-    use super::super::{RefineParams, patches};
+    use super::super::scenes::{ALBEDO, RippledPlane, solved_from_plane};
+    use super::super::solver::SolverParams;
     use super::*;
-    use crate::geometry::EdgeAdjacency;
 
     /// Displacements and albedo after so many steps from a plane towards the ripples that the views show.
     fn displaced(jacobian: JacobianMode, max_steps: usize) -> (Vec<f64>, f64) {
-        let (rays, calibration) = (rays(), calibration());
-        let optics = optics(&rays, &calibration);
-        let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(0.003);
         let hidden = RippledPlane {
             amplitude_m: 0.0003,
-        };
-        let views = views(&hidden, &mesh, &optics, &poses(0.5));
-        let n_vertices = mesh.vertices.len();
-        let mut surface = Surface {
-            directions: mesh.vertex_normals(),
-            mesh,
-            total_m: vec![0.0; n_vertices],
-        };
-        let sites = Sites::new(&surface.mesh, &views, u64::MAX);
-        let edges = EdgeAdjacency::new(&surface.mesh);
-        let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
-        let couplings = Couplings::new(&surface.mesh, &edges, &patches);
-        let params = RefineParams {
-            edge_length_m: 0.003,
-            ..RefineParams::default()
-        };
-        let problem = Problem {
-            observations: &Observations::new(&sites, &views),
-            labels: &vec![0; surface.mesh.faces.len()],
-            loss: final_loss(3.0),
-            priors: prior_weights(&params),
-            patches: &patches,
-            edges: &edges,
-            jacobian,
         };
         let solver = SolverParams {
             max_steps,
             min_decrease: 0.0,
             max_step_m: 0.001,
         };
-        let pattern = Pattern::new(n_vertices, couplings).unwrap();
-        let mut albedos = vec![1.02 * ALBEDO];
-        minimise(
-            &mut surface,
-            &mut albedos,
-            &problem,
-            &pattern,
-            &solver,
-            |_| true,
-        );
-        (surface.total_m, albedos[0])
+        let (surface, albedo) = solved_from_plane(&hidden, 0.003, 1.02 * ALBEDO, jacobian, &solver);
+        (surface.total_m, albedo)
     }
 
     #[test]

@@ -1,8 +1,16 @@
 //! Tiny scenes with closed-form answers for the tests of refinement.
 
+use super::couplings::Couplings;
+use super::energy::{Problem, Surface};
+use super::numeric::JacobianMode;
+use super::observations::Observations;
 use super::optics::Optics;
+use super::rounds::{final_loss, prior_weights};
+use super::sites::Sites;
+use super::solver::{Pattern, SolverParams, minimise};
 use super::view::{ImageTrust, View, ViewContext};
-use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, increment};
+use super::{RefineParams, patches};
+use crate::geometry::{CameraModel, EdgeAdjacency, Pose, RayGrid, TriMesh, increment};
 use crate::shading::{Calibration, NearLight};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics, Sensor};
@@ -191,4 +199,58 @@ pub fn views(hidden: &RippledPlane, base: &TriMesh, optics: &Optics, poses: &[Po
         .iter()
         .map(|pose| View::new(&hidden.snapshot(optics, pose), &context))
         .collect()
+}
+
+/// A mesh that nothing has displaced yet.
+pub fn surface_of(mesh: TriMesh) -> Surface {
+    let n = mesh.vertices.len();
+    Surface {
+        directions: mesh.vertex_normals(),
+        mesh,
+        total_m: vec![0.0; n],
+    }
+}
+
+/// What one solve makes of a plane, given in facets of `spacing_m`, and of an albedo to begin with, by views of a `hidden`
+/// surface.
+pub fn solved_from_plane(
+    hidden: &RippledPlane,
+    spacing_m: f64,
+    albedo: f64,
+    jacobian: JacobianMode,
+    solver: &SolverParams,
+) -> (Surface, f64) {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(spacing_m);
+    let views = views(hidden, &mesh, &optics, &poses(0.5));
+    let mut surface = surface_of(mesh);
+    let sites = Sites::new(&surface.mesh, &views, u64::MAX);
+    let edges = EdgeAdjacency::new(&surface.mesh);
+    let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
+    let couplings = Couplings::new(&surface.mesh, &edges, &patches);
+    let params = RefineParams {
+        edge_length_m: spacing_m,
+        ..RefineParams::default()
+    };
+    let problem = Problem {
+        observations: &Observations::new(&sites, &views),
+        labels: &vec![0; surface.mesh.faces.len()],
+        loss: final_loss(3.0),
+        priors: prior_weights(&params),
+        patches: &patches,
+        edges: &edges,
+        jacobian,
+    };
+    let pattern = Pattern::new(surface.mesh.vertices.len(), couplings).expect("memory");
+    let mut albedos = vec![albedo];
+    minimise(
+        &mut surface,
+        &mut albedos,
+        &problem,
+        &pattern,
+        solver,
+        |_| true,
+    );
+    (surface, albedos[0])
 }

@@ -6,10 +6,11 @@ use super::energy::{PriorWeights, Problem, Surface};
 use super::numeric::JacobianMode;
 use super::observations::Observations;
 use super::optics::Optics;
-use super::rounds::{final_loss, prior_weights};
-use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views};
+use super::scenes::{
+    ALBEDO, RippledPlane, calibration, optics, poses, rays, solved_from_plane, surface_of, views,
+};
 use super::sites::Sites;
-use super::solver::{Pattern, SolverParams, minimise};
+use super::solver::SolverParams;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::shading::Tukey;
@@ -20,15 +21,6 @@ const RIPPLED: RippledPlane = RippledPlane {
     amplitude_m: 0.0003,
 };
 const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
-
-fn surface_of(mesh: TriMesh) -> Surface {
-    let n = mesh.vertices.len();
-    Surface {
-        directions: mesh.vertex_normals(),
-        mesh,
-        total_m: vec![0.0; n],
-    }
-}
 
 /// The whole mesh as the object.
 fn whole<'a>(
@@ -117,44 +109,14 @@ fn gradient_matches_central_differences_of_the_energy() {
 
 #[test]
 fn a_wrong_albedo_is_mended_and_bends_nothing() {
-    let (rays, calibration) = (rays(), calibration());
-    let optics = optics(&rays, &calibration);
-    let mesh = FLAT.mesh(0.004);
-    let views = views(&FLAT, &mesh, &optics, &poses(0.5));
-    let mut surface = surface_of(mesh);
-    let sites = Sites::new(&surface.mesh, &views, u64::MAX);
-    let edges = EdgeAdjacency::new(&surface.mesh);
-    let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
-    let couplings = Couplings::new(&surface.mesh, &edges, &patches);
-    let params = RefineParams {
-        edge_length_m: 0.004,
-        ..RefineParams::default()
-    };
-    let problem = Problem {
-        observations: &Observations::new(&sites, &views),
-        labels: &vec![0; surface.mesh.faces.len()],
-        loss: final_loss(3.0),
-        priors: prior_weights(&params),
-        patches: &patches,
-        edges: &edges,
-        jacobian: JacobianMode::Analytic,
-    };
-    let pattern = Pattern::new(surface.mesh.vertices.len(), couplings).expect("memory");
     let solver = SolverParams {
         max_steps: 6,
         min_decrease: 1e-6,
         max_step_m: 1e-3,
     };
-    let mut albedos = vec![0.93 * ALBEDO];
-    minimise(
-        &mut surface,
-        &mut albedos,
-        &problem,
-        &pattern,
-        &solver,
-        |_| true,
-    );
-    assert!((albedos[0] / ALBEDO - 1.0).abs() < 0.01, "{albedos:?}");
+    let exact = JacobianMode::Analytic;
+    let (surface, albedo) = solved_from_plane(&FLAT, 0.004, 0.93 * ALBEDO, exact, &solver);
+    assert!((albedo / ALBEDO - 1.0).abs() < 0.01, "{albedo}");
     let farthest = surface
         .total_m
         .iter()
