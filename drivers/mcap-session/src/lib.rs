@@ -29,6 +29,7 @@ mod cdr;
 pub mod messages;
 pub mod streams;
 
+mod chunk;
 mod contents;
 mod reader;
 mod scan;

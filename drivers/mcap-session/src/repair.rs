@@ -15,6 +15,7 @@ use mcap::MAGIC;
 
 use crate::{
     bag_metadata,
+    chunk::HEAD,
     error::{RecordingError, io_error},
     folder::{recordings_in, segments},
     open_lock::OpenLock,
@@ -23,7 +24,6 @@ use crate::{
     session::{Counters, RepairNote, SessionRecord, State},
     streams::Stream,
     summary,
-    walk::HEAD,
 };
 
 /// Records of this kind are nobody's: the specification leaves 0x80 and above to applications.

@@ -13,11 +13,12 @@ use mcap::{
 };
 
 use crate::{
+    chunk::{Chunk, HEAD},
     contents::{Definitions, message, read_records},
     error::{RecordingError, io_error},
     segment::SegmentSummary,
     streams::Stream,
-    walk::{Chunk, HEAD, Piece, Walk},
+    walk::{Piece, Walk},
 };
 
 /// An image of the same frame comes at most so many frames later.

@@ -13,21 +13,16 @@ use std::{
 
 use mcap::{
     MAGIC, McapError,
-    records::{ChunkHeader, Record, op},
+    records::{Record, op},
 };
 
-use crate::error::{RecordingError, io_error};
+use crate::{
+    chunk::{Chunk, HEAD, MAX_CHUNK_BYTES, MAX_CHUNK_HEAD},
+    error::{RecordingError, io_error},
+};
 
-/// The largest chunk, compressed or not, and the largest message outside of one: twice the largest image.
-pub const MAX_CHUNK_BYTES: u64 = 128 << 20;
 /// The largest record of another kind that is read.
 const MAX_RECORD_BYTES: u64 = 1 << 20;
-/// Opcode and length.
-pub const HEAD: u64 = 9;
-/// Start and end time, size, checksum, length of the compression's name, compressed size.
-const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
-/// The longest name of a compression that is looked for when the walk has lost its way.
-const MAX_COMPRESSION_NAME: usize = 4;
 
 /// One step of the walk; offsets are those of the record in the file.
 #[derive(Debug)]
@@ -68,48 +63,6 @@ pub enum Piece {
         /// What was found there.
         what: String,
     },
-}
-
-/// A chunk as it lies in the file.
-#[derive(Debug)]
-pub struct Chunk {
-    /// Where the record begins.
-    pub offset: u64,
-    /// Bytes of the record, with opcode and length.
-    pub length: u64,
-    /// What it says of itself.
-    pub header: ChunkHeader,
-    data: Vec<u8>,
-}
-
-impl Chunk {
-    /// The records in the chunk, decompressed and checked.
-    ///
-    /// # Errors
-    /// What is wrong with them.
-    pub fn records(&self) -> Result<Vec<u8>, String> {
-        let size = self.header.uncompressed_size as usize;
-        let records = match self.header.compression.as_str() {
-            "" => self.data.clone(),
-            "zstd" => {
-                zstd::bulk::decompress(&self.data, size).map_err(|error| error.to_string())?
-            }
-            other => {
-                return Err(format!(
-                    "compression \"{other}\" is not read, must be zstd or none"
-                ));
-            }
-        };
-        if records.len() != size {
-            return Err(format!("{} bytes, must be {size}", records.len()));
-        }
-        let saved = self.header.uncompressed_crc;
-        let found = crc32fast::hash(&records);
-        if saved != 0 && found != saved {
-            return Err(format!("checksum {found:08x}, must be {saved:08x}"));
-        }
-        Ok(records)
-    }
 }
 
 /// A walk through one file.
@@ -227,17 +180,16 @@ impl Walk {
     /// Where the next chunk begins that agrees with itself, from `offset` on.
     fn next_chunk(&mut self, offset: u64) -> io::Result<Option<u64>> {
         const STEP: usize = 1 << 16;
-        let head = HEAD as usize + CHUNK_HEADER + MAX_COMPRESSION_NAME;
         let mut at = offset;
         while at < self.length {
             self.seek(at)?;
-            let mut window = Vec::with_capacity(STEP + head);
+            let mut window = Vec::with_capacity(STEP + MAX_CHUNK_HEAD);
             (&mut self.file)
-                .take((STEP + head) as u64)
+                .take((STEP + MAX_CHUNK_HEAD) as u64)
                 .read_to_end(&mut window)?;
             for start in 0..window.len().min(STEP) {
                 let left = self.length - at - start as u64;
-                if is_chunk(&window[start..], left) {
+                if Chunk::begins(&window[start..], left) {
                     return Ok(Some(at + start as u64));
                 }
             }
@@ -255,11 +207,11 @@ impl Walk {
 
 /// A record whose length agrees with what it holds.
 fn understood(opcode: u8, offset: u64, body: Vec<u8>) -> Result<Piece, String> {
-    if opcode == op::CHUNK {
-        return chunk(offset, body).map(Piece::Chunk);
-    }
     let parsed = mcap::parse_record(opcode, &body).map_err(|error| describe(opcode, &error))?;
     match parsed {
+        Record::Chunk { header, data } => {
+            Chunk::new(offset, body.len(), header, data.into_owned()).map(Piece::Chunk)
+        }
         Record::DataEnd(end) if body.len() == 4 => Ok(Piece::DataEnd {
             offset,
             saved_crc: end.data_section_crc,
@@ -281,67 +233,6 @@ fn understood(opcode: u8, offset: u64, body: Vec<u8>) -> Result<Piece, String> {
     }
 }
 
-fn chunk(offset: u64, body: Vec<u8>) -> Result<Chunk, String> {
-    let length = HEAD + body.len() as u64;
-    let parsed =
-        mcap::parse_record(op::CHUNK, &body).map_err(|error| describe(op::CHUNK, &error))?;
-    let Record::Chunk { header, data } = parsed else {
-        return Err("not a chunk".to_owned());
-    };
-    let start = CHUNK_HEADER + header.compression.len();
-    if start as u64 + header.compressed_size != body.len() as u64 {
-        return Err(format!(
-            "a chunk of {} bytes that says it has {}",
-            body.len() - start.min(body.len()),
-            header.compressed_size
-        ));
-    }
-    if header.uncompressed_size > MAX_CHUNK_BYTES {
-        return Err(format!(
-            "a chunk of {} bytes when decompressed, must be at most {MAX_CHUNK_BYTES}",
-            header.uncompressed_size
-        ));
-    }
-    let data = data.into_owned();
-    Ok(Chunk {
-        offset,
-        length,
-        header,
-        data,
-    })
-}
-
 fn describe(opcode: u8, error: &McapError) -> String {
     format!("a record of kind {opcode:02x} that is damaged: {error}")
-}
-
-/// Whether bytes begin a chunk of at most `left` bytes whose lengths agree; sixty bits or more must be right by chance otherwise.
-fn is_chunk(bytes: &[u8], left: u64) -> bool {
-    if bytes.first() != Some(&op::CHUNK) {
-        return false;
-    }
-    let number = |at: usize| {
-        let bytes = bytes.get(at..at + 8)?;
-        Some(u64::from_le_bytes(std::array::from_fn(|k| bytes[k])))
-    };
-    let compression = |at: usize| {
-        let length = bytes.get(at..at + 4)?;
-        let length = u32::from_le_bytes(std::array::from_fn(|k| length[k])) as usize;
-        match length <= MAX_COMPRESSION_NAME {
-            true => bytes.get(at + 4..at + 4 + length),
-            false => None,
-        }
-    };
-    let (Some(body), Some(uncompressed), Some(name)) = (number(1), number(25), compression(37))
-    else {
-        return false;
-    };
-    let Some(compressed) = number(41 + name.len()) else {
-        return false;
-    };
-    let header = (CHUNK_HEADER + name.len()) as u64;
-    let fits = body <= left.saturating_sub(HEAD)
-        && body <= MAX_CHUNK_BYTES
-        && uncompressed <= MAX_CHUNK_BYTES;
-    fits && compressed.checked_add(header) == Some(body) && matches!(name, b"" | b"zstd" | b"lz4")
 }
