@@ -31,6 +31,7 @@ pub mod streams;
 
 mod chunk;
 mod contents;
+mod ending;
 mod reader;
 mod scan;
 mod segment;

@@ -16,10 +16,11 @@ use mcap::MAGIC;
 use crate::{
     bag_metadata,
     chunk::HEAD,
+    ending::data_checksum,
     error::{RecordingError, io_error},
     folder::{recordings_in, segments},
     open_lock::OpenLock,
-    scan::{Mend, Scan, data_checksum, scan},
+    scan::{Mend, Scan, scan},
     segment::{Segment, SegmentSummary},
     session::{Counters, RepairNote, SessionRecord, State},
     streams::Stream,
