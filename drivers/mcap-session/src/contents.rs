@@ -7,7 +7,7 @@ use mcap::{
     records::{MessageHeader, Record, op},
 };
 
-use crate::summary::own_definitions;
+use crate::{segment::LIBRARY, summary::own_definitions};
 
 /// A channel: what its messages are about, and how they are stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,7 +64,7 @@ impl Definitions {
         let Ok(Record::Header(header)) = parse_record(op::HEADER, header) else {
             return;
         };
-        if !header.library.starts_with("relief ") {
+        if !header.library.starts_with(LIBRARY) {
             return;
         }
         for ((opcode, _), body) in own_definitions("lost") {

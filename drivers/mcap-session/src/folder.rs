@@ -82,6 +82,11 @@ pub fn segments(folder: &Path) -> Vec<PathBuf> {
     numbered.take_while(|path| path.is_file()).collect()
 }
 
+/// Whether a file is a segment of a recording of our own: `session.json` lies beside it.
+pub fn is_segment(path: &Path) -> bool {
+    path.with_file_name(session::FILE_NAME).is_file()
+}
+
 /// Hands the names in a folder to the disk.
 ///
 /// # Errors

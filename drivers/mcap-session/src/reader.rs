@@ -64,11 +64,17 @@ impl MessageReader {
             }
         };
         let damage = match piece {
-            Piece::Chunk(chunk) => chunk
-                .records()
-                .and_then(|records| read_records(&records, &mut open.definitions, hand_on))
-                .err()
-                .map(|what| (chunk.offset, format!("a chunk is lost: {what}"))),
+            Piece::Chunk(chunk) => {
+                let read = chunk
+                    .records()
+                    .and_then(|records| read_records(&records, &mut open.definitions, hand_on));
+                if read.is_err() {
+                    let rejected = open.walk.reject(chunk.offset, chunk.length);
+                    rejected.map_err(io_error(&open.path))?;
+                }
+                read.err()
+                    .map(|what| (chunk.offset, format!("a chunk is lost: {what}")))
+            }
             Piece::Record {
                 opcode: op::MESSAGE,
                 body,

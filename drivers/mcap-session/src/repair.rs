@@ -25,10 +25,8 @@ use crate::{
     session::{Counters, RepairNote, SessionRecord, State},
     streams::Stream,
     summary,
+    walk::PASSED_OVER,
 };
-
-/// Records of this kind are nobody's: the specification leaves 0x80 and above to applications.
-const PASSED_OVER: u8 = 0x80;
 
 /// What the repair of one segment did.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -115,14 +115,21 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
     // The chunk that message indexes belong to; none behind a damaged one.
     let mut indexed = false;
     while let Some(piece) = walk.next().map_err(io_error(path))? {
-        match piece {
-            Piece::Chunk(chunk) => indexed = scan.chunk(&chunk),
+        let (offset, length, looked_at) = match piece {
+            Piece::Chunk(chunk) => {
+                let looked_at = scan.chunk(&chunk);
+                indexed = looked_at.is_ok();
+                (chunk.offset, chunk.length, looked_at)
+            }
             Piece::Record {
                 opcode,
                 offset,
                 body,
-            } => scan.record(opcode, offset, &body, indexed),
-            Piece::PassedOver => {}
+            } => {
+                let looked_at = scan.record(opcode, offset, &body, indexed);
+                (offset, HEAD + body.len() as u64, looked_at)
+            }
+            Piece::PassedOver => continue,
             Piece::Gap {
                 offset,
                 length,
@@ -130,6 +137,7 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
             } => {
                 indexed = false;
                 scan.pass_over(offset, length, what);
+                continue;
             }
             Piece::DataEnd { offset, saved_crc } => {
                 scan.end_of_data = offset;
@@ -141,6 +149,10 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
                 scan.bad_ending = Some(what);
                 return Ok(scan);
             }
+        };
+        if let Err(what) = looked_at {
+            let length = walk.reject(offset, length).map_err(io_error(path))?;
+            scan.pass_over(offset, length, what);
         }
     }
     Ok(scan)
@@ -157,8 +169,8 @@ impl Scan {
         self.damages.is_empty() && self.bad_ending.is_none()
     }
 
-    /// Takes up a chunk; false if its contents are damaged.
-    fn chunk(&mut self, chunk: &Chunk) -> bool {
+    /// Takes up a chunk, or says what is wrong with its contents.
+    fn chunk(&mut self, chunk: &Chunk) -> Result<(), String> {
         let mut entry = ChunkEntry {
             offset: chunk.offset,
             length: chunk.length,
@@ -180,13 +192,7 @@ impl Scan {
             })?;
             Ok(records)
         });
-        let records = match read {
-            Ok(records) => records,
-            Err(what) => {
-                self.pass_over(chunk.offset, chunk.length, format!("a chunk: {what}"));
-                return false;
-            }
-        };
+        let records = read.map_err(|what| format!("a chunk: {what}"))?;
         let counted = read_records(&records, &mut definitions, |definitions, message| {
             self.count(definitions, &message.header);
         });
@@ -210,36 +216,37 @@ impl Scan {
             });
         }
         self.chunks.push(entry);
-        true
+        Ok(())
     }
 
-    fn record(&mut self, opcode: u8, offset: u64, body: &[u8], indexed: bool) {
-        let length = HEAD + body.len() as u64;
+    /// Takes up another record, or says what is wrong with it.
+    fn record(
+        &mut self,
+        opcode: u8,
+        offset: u64,
+        body: &[u8],
+        indexed: bool,
+    ) -> Result<(), String> {
         match opcode {
             op::HEADER => {
                 self.has_header = true;
                 self.definitions.begin(body);
             }
-            op::SCHEMA | op::CHANNEL => {
-                if let Err(what) = self.definitions.add(opcode, body) {
-                    self.pass_over(offset, length, what);
-                }
+            op::SCHEMA | op::CHANNEL => self.definitions.add(opcode, body)?,
+            op::MESSAGE => {
+                let (header, _) = message(body).ok_or("a message without its header")?;
+                let definitions = std::mem::take(&mut self.definitions);
+                self.count(&definitions, &header);
+                self.definitions = definitions;
             }
-            op::MESSAGE => match message(body) {
-                Some((header, _)) => {
-                    let definitions = std::mem::take(&mut self.definitions);
-                    self.count(&definitions, &header);
-                    self.definitions = definitions;
-                }
-                None => self.pass_over(offset, length, "a message without its header".to_owned()),
-            },
-            op::MESSAGE_INDEX => self.message_index(offset, body, indexed),
+            op::MESSAGE_INDEX => self.message_index(offset, body, indexed)?,
             _ => {}
         }
+        Ok(())
     }
 
     /// Takes up an index if it belongs to a good chunk and agrees with it.
-    fn message_index(&mut self, offset: u64, body: &[u8], indexed: bool) {
+    fn message_index(&mut self, offset: u64, body: &[u8], indexed: bool) -> Result<(), String> {
         let length = HEAD + body.len() as u64;
         let chunk = self.chunks.last_mut().filter(|_| indexed);
         let index = match mcap::parse_record(op::MESSAGE_INDEX, body) {
@@ -255,11 +262,10 @@ impl Scan {
             if messages.is_some_and(|messages| messages.iter().copied().eq(told)) {
                 chunk.index_offsets.insert(index.channel_id, offset);
                 chunk.index_length += length;
-                return;
+                return Ok(());
             }
         }
-        let what = "an index that agrees with no chunk before it".to_owned();
-        self.pass_over(offset, length, what);
+        Err("an index that agrees with no chunk before it".to_owned())
     }
 
     fn count(&mut self, definitions: &Definitions, header: &MessageHeader) {

@@ -14,6 +14,11 @@ use crate::streams::Stream;
 /// A chunk is closed before its messages take more than this; a larger message has a chunk of its own.
 pub const MAX_CHUNK_BYTES: usize = 4 << 20;
 
+/// The profile in the header of a file.
+pub const PROFILE: &str = "ros2";
+/// What the library in the header of a file begins with; the version follows.
+pub const LIBRARY: &str = "relief ";
+
 /// The fastest level: of 1, 3 and 9 the higher ones gain a tenth on depth and nothing on the noise of IR.
 const ZSTD_LEVEL: u32 = 1;
 
@@ -65,8 +70,8 @@ impl<W: Write> Segment<W> {
     /// What the output says.
     pub fn create(out: W, serial: &str) -> io::Result<Self> {
         let options = WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("relief ", env!("CARGO_PKG_VERSION")))
+            .profile(PROFILE)
+            .library(format!("{LIBRARY}{}", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
             .compression_level(ZSTD_LEVEL)
             .compression_threads(0)

@@ -2,7 +2,11 @@
 
 use mcap::{MAGIC, records::op};
 
-use crate::{scan::Scan, streams::Stream};
+use crate::{
+    scan::Scan,
+    segment::{LIBRARY, PROFILE},
+    streams::Stream,
+};
 
 /// The bytes that end a file whose data have that checksum and end where the scan says.
 pub fn ending(scan: &Scan, data_crc: u32) -> Vec<u8> {
@@ -91,8 +95,9 @@ pub fn own_definitions(serial: &str) -> Vec<((u8, u16), Vec<u8>)> {
 pub fn header(length: u64) -> Option<Vec<u8>> {
     let library = usize::try_from(length).ok()?.checked_sub(9 + 4 + 4 + 4)?;
     let mut body = Body::default();
-    body.text("ros2");
-    body.text(&format!("{:<library$.library$}", "relief repaired"));
+    body.text(PROFILE);
+    let name = format!("{LIBRARY}repaired");
+    body.text(&format!("{name:<library$.library$}"));
     let mut out = Vec::new();
     record(&mut out, op::HEADER, &body.0);
     Some(out)

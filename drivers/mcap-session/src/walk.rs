@@ -4,6 +4,11 @@
 //! the walk ends with the data section. A record is believed if its length agrees with what it holds; where one is not, the walk
 //! goes on at the next chunk that agrees with itself. Nothing is allocated before its length is checked against its limit and
 //! against the file.
+//!
+//! Repair writes the checksum of all data anew, so that whatever is believed then is believed for ever. In a recording of Relief
+//! only that is believed what something else vouches for: chunks by their checksums, indexes by their chunks, the header by what
+//! it must say. A record of any other kind was something else before it was damaged: a single bit lies between an index and a
+//! message, which has no checksum of its own.
 
 use std::{
     fs::File,
@@ -13,16 +18,22 @@ use std::{
 
 use mcap::{
     MAGIC, McapError,
-    records::{Record, op},
+    records::{Header, Record, op},
 };
 
 use crate::{
     chunk::{Chunk, HEAD, MAX_CHUNK_BYTES, MAX_CHUNK_HEAD},
     error::{RecordingError, io_error},
+    folder::is_segment,
+    segment::{LIBRARY, PROFILE},
 };
 
 /// The largest record of another kind that is read.
 const MAX_RECORD_BYTES: u64 = 1 << 20;
+
+/// What damaged records of a recording of Relief become, for readers to pass over: the specification leaves the kinds from 0x80 on
+/// to applications.
+pub const PASSED_OVER: u8 = 0x80;
 
 /// One step of the walk; offsets are those of the record in the file.
 #[derive(Debug)]
@@ -71,6 +82,8 @@ pub struct Walk {
     length: u64,
     /// Where the next record begins.
     offset: u64,
+    /// Whether it is a recording of Relief.
+    is_own: bool,
     ended: bool,
 }
 
@@ -101,6 +114,7 @@ impl Walk {
             file,
             length,
             offset: MAGIC.len() as u64,
+            is_own: is_segment(path),
             ended: false,
         })
     }
@@ -124,7 +138,7 @@ impl Walk {
                 self.offset = offset + length;
                 piece
             }
-            Err(what) => match self.next_chunk(offset + HEAD)? {
+            Err(what) => match self.next_chunk(offset + HEAD, self.length)? {
                 Some(found) => {
                     self.offset = found;
                     Piece::Gap {
@@ -147,9 +161,7 @@ impl Walk {
             return Ok(Err(format!("the file ends {left} bytes into a record")));
         }
         self.seek(offset)?;
-        let mut head = [0; HEAD as usize];
-        self.file.read_exact(&mut head)?;
-        let [opcode, length @ ..] = head;
+        let [opcode, length @ ..] = self.head()?;
         let body = u64::from_le_bytes(length);
         if body > left - HEAD {
             return Ok(Err(format!(
@@ -157,10 +169,20 @@ impl Walk {
                 left - HEAD
             )));
         }
+        if self.is_own && !is_written(opcode, offset) {
+            return Ok(Err(format!(
+                "a record of kind {opcode:02x}, which no recording of Relief has there"
+            )));
+        }
         let limit = match opcode {
             op::CHUNK | op::MESSAGE => MAX_CHUNK_BYTES,
             op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE_INDEX | op::DATA_END => {
                 MAX_RECORD_BYTES
+            }
+            PASSED_OVER if self.is_own && !self.is_passed_over(offset + HEAD, body)? => {
+                return Ok(Err(format!(
+                    "{body} bytes to pass over, with a whole chunk among them or no record behind them"
+                )));
             }
             op::ATTACHMENT | op::METADATA | 0x80.. => {
                 return Ok(Ok((Piece::PassedOver, HEAD + body)));
@@ -174,20 +196,65 @@ impl Walk {
         }
         let mut bytes = vec![0; body as usize];
         self.file.read_exact(&mut bytes)?;
-        Ok(understood(opcode, offset, bytes).map(|piece| (piece, HEAD + body)))
+        let understood = understood(opcode, offset, bytes, self.is_own);
+        Ok(understood.map(|piece| (piece, HEAD + body)))
     }
 
-    /// Where the next chunk begins that agrees with itself, from `offset` on.
-    fn next_chunk(&mut self, offset: u64) -> io::Result<Option<u64>> {
+    /// Goes on behind a record whose contents are damaged; the bytes that are lost with it. Its length is not believed if it reaches
+    /// into a chunk that is whole, or does not reach up to a record: bytes are missing then, or too many.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn reject(&mut self, offset: u64, length: u64) -> io::Result<u64> {
+        let start = offset + HEAD;
+        let next = match self.is_own && !self.is_passed_over(start, length - HEAD)? {
+            true => self.next_chunk(start, self.length)?,
+            false => None,
+        };
+        self.offset = next.unwrap_or(offset + length);
+        Ok(self.offset - offset)
+    }
+
+    /// Whether so many bytes from `start` on can be what repair passes over: no chunk that is whole, up to a record.
+    fn is_passed_over(&mut self, start: u64, n_bytes: u64) -> io::Result<bool> {
+        let end = start + n_bytes;
+        let mut at = start;
+        while let Some(found) = self.next_chunk(at, end)? {
+            let Ok((Piece::Chunk(chunk), length)) = self.record(found)? else {
+                at = found + HEAD;
+                continue;
+            };
+            if chunk.records().is_ok() {
+                return Ok(false);
+            }
+            at = found + length;
+        }
+        let left = self.length - end;
+        if left < HEAD {
+            return Ok(true);
+        }
+        self.seek(end)?;
+        let [opcode, length @ ..] = self.head()?;
+        Ok(is_written(opcode, end) && u64::from_le_bytes(length) <= left - HEAD)
+    }
+
+    /// Opcode and length of the record that follows.
+    fn head(&mut self) -> io::Result<[u8; HEAD as usize]> {
+        let mut head = [0; HEAD as usize];
+        self.file.read_exact(&mut head).map(|()| head)
+    }
+
+    /// Where the first chunk that agrees with itself begins, from `offset` on and before `end`.
+    fn next_chunk(&mut self, offset: u64, end: u64) -> io::Result<Option<u64>> {
         const STEP: usize = 1 << 16;
         let mut at = offset;
-        while at < self.length {
+        while at < end {
             self.seek(at)?;
             let mut window = Vec::with_capacity(STEP + MAX_CHUNK_HEAD);
             (&mut self.file)
                 .take((STEP + MAX_CHUNK_HEAD) as u64)
                 .read_to_end(&mut window)?;
-            for start in 0..window.len().min(STEP) {
+            for start in 0..window.len().min(STEP).min((end - at) as usize) {
                 let left = self.length - at - start as u64;
                 if Chunk::begins(&window[start..], left) {
                     return Ok(Some(at + start as u64));
@@ -205,13 +272,26 @@ impl Walk {
     }
 }
 
+/// Whether a recording of Relief has records of that kind there.
+fn is_written(opcode: u8, offset: u64) -> bool {
+    match opcode {
+        op::HEADER => offset == MAGIC.len() as u64,
+        op::CHUNK | op::MESSAGE_INDEX | op::DATA_END | PASSED_OVER => true,
+        _ => false,
+    }
+}
+
 /// A record whose length agrees with what it holds.
-fn understood(opcode: u8, offset: u64, body: Vec<u8>) -> Result<Piece, String> {
+fn understood(opcode: u8, offset: u64, body: Vec<u8>, is_own: bool) -> Result<Piece, String> {
     let parsed = mcap::parse_record(opcode, &body).map_err(|error| describe(opcode, &error))?;
     match parsed {
         Record::Chunk { header, data } => {
             Chunk::new(offset, body.len(), header, data.into_owned()).map(Piece::Chunk)
         }
+        Record::Header(header) if is_own && !is_own_header(&header, body.len()) => Err(format!(
+            "a header of profile \"{}\" and library \"{}\", which Relief does not write",
+            header.profile, header.library
+        )),
         Record::DataEnd(end) if body.len() == 4 => Ok(Piece::DataEnd {
             offset,
             saved_crc: end.data_section_crc,
@@ -231,6 +311,14 @@ fn understood(opcode: u8, offset: u64, body: Vec<u8>) -> Result<Piece, String> {
             body,
         }),
     }
+}
+
+/// Whether a header of so many bytes is one that Relief writes, which nothing but its own words vouches for.
+fn is_own_header(header: &Header, n_bytes: usize) -> bool {
+    let lengths = 2 * size_of::<u32>();
+    header.profile == PROFILE
+        && header.library.starts_with(LIBRARY)
+        && n_bytes == lengths + header.profile.len() + header.library.len()
 }
 
 fn describe(opcode: u8, error: &McapError) -> String {

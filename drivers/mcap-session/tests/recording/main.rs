@@ -4,7 +4,9 @@
 mod support;
 
 mod damage;
+mod flip;
 mod foreign;
 mod kill;
+mod original;
 mod round_trip;
 mod storage;
