@@ -59,14 +59,17 @@ impl Definitions {
         Ok(())
     }
 
-    /// Takes up a file's header: what a recording of Relief defines is known before the file's own definitions, which may be lost.
+    /// Takes up a file's header, which tells whether Relief wrote it.
     pub fn begin(&mut self, header: &[u8]) {
-        let Ok(Record::Header(header)) = parse_record(op::HEADER, header) else {
-            return;
-        };
-        if !header.library.starts_with(LIBRARY) {
-            return;
+        if let Ok(Record::Header(header)) = parse_record(op::HEADER, header)
+            && header.library.starts_with(LIBRARY)
+        {
+            self.add_own();
         }
+    }
+
+    /// What a recording of Relief defines is known before the file's own definitions, which may be lost.
+    pub fn add_own(&mut self) {
         for ((opcode, _), body) in own_definitions("lost") {
             let added = self.add(opcode, &body);
             debug_assert_eq!(added, Ok(()), "definitions that this program writes");

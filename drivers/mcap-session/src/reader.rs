@@ -115,10 +115,14 @@ impl MessageReader {
             return Ok(Step::End);
         };
         let walk = Walk::open(&path)?;
+        let mut definitions = Definitions::default();
+        if walk.is_own() {
+            definitions.add_own();
+        }
         self.open = Some(OpenFile {
             path,
             walk,
-            definitions: Definitions::default(),
+            definitions,
         });
         Ok(Step::Read)
     }

@@ -112,6 +112,9 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
         file_length: walk.file_length(),
         ..Scan::default()
     };
+    if walk.is_own() {
+        scan.definitions.add_own();
+    }
     // The chunk that message indexes belong to; none behind a damaged one.
     let mut indexed = false;
     while let Some(piece) = walk.next().map_err(io_error(path))? {

@@ -82,7 +82,7 @@ pub struct Walk {
     length: u64,
     /// Where the next record begins.
     offset: u64,
-    /// Whether it is a recording of Relief.
+    /// Whether it belongs to a recording of Relief.
     is_own: bool,
     ended: bool,
 }
@@ -117,6 +117,11 @@ impl Walk {
             is_own: is_segment(path),
             ended: false,
         })
+    }
+
+    /// Whether the file belongs to a recording of Relief, whatever it says itself.
+    pub fn is_own(&self) -> bool {
+        self.is_own
     }
 
     /// Bytes of the file.

@@ -72,6 +72,27 @@ fn bytes_that_are_missing_from_a_chunk_cost_no_other() {
 }
 
 #[test]
+fn header_and_definitions_may_both_be_lost() {
+    let original = Original::new();
+    let mut bytes = original.bytes.clone();
+    let header = mcap::MAGIC.len();
+    bytes[header..header + 200].fill(0x55);
+    let folder = original.with_bytes(&bytes, State::Closed);
+    let played = play(&first_segment(&folder)).unwrap();
+    assert_eq!(played.frames.len() as u64, N_FRAMES);
+    let note = repair(&folder).unwrap().unwrap();
+    assert_eq!(
+        (note.frames_recovered, note.frames_lost),
+        (N_FRAMES, Some(0))
+    );
+    assert_eq!(n_problems(&folder), 0);
+    let played = play(&folder).unwrap();
+    assert_eq!(played.damages, Vec::<String>::new());
+    assert_eq!(played.frames.len() as u64, N_FRAMES);
+    assert_as_recorded(&original.info, &played.frames);
+}
+
+#[test]
 fn random_damage_is_read_or_refused() {
     let original = Original::new();
     let mut random = fastrand::Rng::with_seed(5);
