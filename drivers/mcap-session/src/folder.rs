@@ -10,9 +10,6 @@ use crate::{
     session,
 };
 
-/// More segments than a recording of weeks has.
-const MAX_SEGMENTS: usize = 100_000;
-
 /// The name of a segment by its number.
 pub fn segment_name(number: usize) -> String {
     format!("segment-{number:04}.mcap")
@@ -76,10 +73,22 @@ fn look_in(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), 
     Ok(())
 }
 
-/// The segments of a recording of our own.
+/// The segments of a recording of our own, in order; where one is missing, those behind it all the same.
 pub fn segments(folder: &Path) -> Vec<PathBuf> {
-    let numbered = (0..MAX_SEGMENTS).map(|number| folder.join(segment_name(number)));
-    numbered.take_while(|path| path.is_file()).collect()
+    let mut numbered: Vec<(usize, PathBuf)> = mcap_files(folder)
+        .into_iter()
+        .filter_map(|path| Some((segment_number(&path)?, path)))
+        .collect();
+    numbered.sort();
+    numbered.into_iter().map(|(_, path)| path).collect()
+}
+
+/// The number of a segment by its name.
+fn segment_number(path: &Path) -> Option<usize> {
+    let name = path.file_name()?.to_str()?;
+    let digits = name.strip_prefix("segment-")?.strip_suffix(".mcap")?;
+    let number = digits.parse().ok()?;
+    (segment_name(number) == name).then_some(number)
 }
 
 /// Whether a file is a segment of a recording of our own: `session.json` lies beside it.

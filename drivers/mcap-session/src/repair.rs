@@ -23,8 +23,8 @@ use crate::{
     scan::{Mend, Scan, scan},
     segment::{Segment, SegmentSummary},
     session::{Counters, RepairNote, SessionRecord, State},
-    streams::Stream,
     summary,
+    verify::{FileReport, verify},
     walk::PASSED_OVER,
 };
 
@@ -53,12 +53,10 @@ pub fn repair(folder: &Path) -> Result<Option<RepairNote>, RecordingError> {
     match record.state {
         State::Open => mend(folder, record, &mut lock, n_given).map(Some),
         State::Closed | State::Repaired => {
-            let is_damaged = segments(folder)
-                .iter()
-                .any(|path| !scan(path).is_ok_and(|scan| scan.is_whole()));
-            match is_damaged {
-                true => mend(folder, record, &mut lock, None).map(Some),
-                false => lock.remove().map(|()| None),
+            let is_whole = |report: &FileReport| report.problems.is_empty();
+            match verify(folder).is_ok_and(|reports| reports.iter().all(is_whole)) {
+                true => lock.remove().map(|()| None),
+                false => mend(folder, record, &mut lock, None).map(Some),
             }
         }
     }
@@ -117,7 +115,7 @@ fn mend(
         note.bytes_cut += repaired.bytes_cut;
         note.bytes_passed_over += repaired.bytes_passed_over;
         counters.bytes += path.metadata().map_err(io_error(&path))?.len();
-        count(&mut counters, &repaired.summary);
+        counters.add(&repaired.summary);
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         bag.push((name.into_owned(), repaired.summary));
     }
@@ -132,19 +130,6 @@ fn mend(
     record.write(folder)?;
     lock.remove()?;
     Ok(note)
-}
-
-/// Messages by what they carry.
-fn count(counters: &mut Counters, segment: &SegmentSummary) {
-    for (topic, (_, n)) in &segment.topics {
-        match Stream::of_topic(topic) {
-            Some(Stream::Depth) => counters.depth += n,
-            Some(Stream::Infrared) => counters.infrared += n,
-            Some(Stream::Pose) => counters.poses += n,
-            Some(Stream::Events) => counters.events += n,
-            _ => {}
-        }
-    }
 }
 
 /// Mends one segment of a recording of that device.

@@ -4,7 +4,11 @@ use std::{fs, path::Path};
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{RecordingError, io_error};
+use crate::{
+    error::{RecordingError, io_error},
+    segment::SegmentSummary,
+    streams::Stream,
+};
 
 /// The name of the file in a recording's folder.
 pub const FILE_NAME: &str = "session.json";
@@ -43,6 +47,36 @@ pub struct Counters {
     pub events: u64,
     /// Bytes of all segments.
     pub bytes: u64,
+}
+
+impl Counters {
+    /// Counts the messages of a segment by what they carry.
+    pub(crate) fn add(&mut self, segment: &SegmentSummary) {
+        for (topic, (_, n)) in &segment.topics {
+            match Stream::of_topic(topic) {
+                Some(Stream::Depth) => self.depth += n,
+                Some(Stream::Infrared) => self.infrared += n,
+                Some(Stream::Pose) => self.poses += n,
+                Some(Stream::Events) => self.events += n,
+                _ => {}
+            }
+        }
+    }
+
+    /// Which messages are other in number than those that were found, if any are.
+    pub(crate) fn disagreement(&self, found: &Counters) -> Option<String> {
+        let pairs = [
+            ("depth images", self.depth, found.depth),
+            ("IR images", self.infrared, found.infrared),
+            ("poses", self.poses, found.poses),
+            ("events", self.events, found.events),
+        ];
+        let differ = pairs.into_iter().filter(|(_, told, found)| told != found);
+        let texts: Vec<String> = differ
+            .map(|(what, told, found)| format!("{told} {what} of which {found} were found"))
+            .collect();
+        (!texts.is_empty()).then(|| format!("the recording has {}", texts.join(", ")))
+    }
 }
 
 /// What repair found.

@@ -2,11 +2,13 @@
 
 use std::fs;
 
-use mcap_session::{SessionRecord, State, repair};
+use mcap_session::{
+    RecordingParams, SESSION_FILE_NAME, SegmentWriter, SessionRecord, State, repair, verify,
+};
 
 use crate::{
     original::{FRAMES_PER_CHUNK, N_FRAMES, Original, n_problems},
-    support::{assert_as_recorded, camera_info, first_segment, play, record},
+    support::{assert_as_recorded, camera_info, first_segment, frame, params, play, record},
 };
 
 /// Set to cut at every byte of the last two chunks; otherwise at every 37th.
@@ -90,6 +92,57 @@ fn header_and_definitions_may_both_be_lost() {
     assert_eq!(played.damages, Vec::<String>::new());
     assert_eq!(played.frames.len() as u64, N_FRAMES);
     assert_as_recorded(&original.info, &played.frames);
+}
+
+#[test]
+fn a_segment_that_is_missing_is_found_and_the_others_are_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a");
+    let info = camera_info(20, 16);
+    let short = RecordingParams {
+        max_segment_bytes: 20_000,
+        ..params()
+    };
+    let mut writer = SegmentWriter::create(&path, &info, short).unwrap();
+    for frame_id in 0..N_FRAMES {
+        writer.write(&frame(&info, frame_id)).unwrap();
+    }
+    writer.finish().unwrap();
+    assert_eq!(n_problems(&path), 0);
+    let segments = mcap_session::files(&path).unwrap();
+    assert!(segments.len() > 2, "{segments:?}");
+
+    let lost = play(&segments[1]).unwrap().frames.len() as u64;
+    assert!(lost > 0);
+    fs::remove_file(&segments[1]).unwrap();
+    let reports = verify(&path).unwrap();
+    let problems: Vec<&String> = reports.iter().flat_map(|report| &report.problems).collect();
+    let left = N_FRAMES - lost;
+    let expected = format!(
+        "the recording has {N_FRAMES} depth images of which {left} were found, {N_FRAMES} IR images of which {left} were found"
+    );
+    assert_eq!(problems, [&expected]);
+    let note = repair(&path).unwrap().unwrap();
+    assert_eq!(note.frames_lost, Some(lost));
+    assert_eq!(n_problems(&path), 0);
+    let played = play(&path).unwrap();
+    assert_eq!(played.frames.len() as u64, left);
+    assert_as_recorded(&info, &played.frames);
+}
+
+#[test]
+fn a_description_that_is_damaged_is_found_and_refused() {
+    let original = Original::new();
+    let folder = original.with_bytes(&original.bytes, State::Closed);
+    assert_eq!(n_problems(&folder), 0);
+    let path = folder.join(SESSION_FILE_NAME);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replacen('{', "[", 1)).unwrap();
+    assert_eq!(n_problems(&folder), 1);
+    let error = repair(&folder).unwrap_err().to_string();
+    assert!(error.contains(SESSION_FILE_NAME), "{error}");
+    let error = play(&folder).err().unwrap().to_string();
+    assert!(error.contains(SESSION_FILE_NAME), "{error}");
 }
 
 #[test]
