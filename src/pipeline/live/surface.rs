@@ -1,7 +1,7 @@
 //! The surface for whoever looks on: patches of the live mesh sewn together, with normals and coverage.
 //!
-//! A thread of its own makes it, of what the fusion thread hands over between two frames: capture does not wait for it, and
-//! it takes a quarter of a core at most.
+//! A thread of its own makes it, of what the fusion thread hands over between frames: capture does not wait for it. It takes a
+//! quarter of a core at most, and only turns that nobody else wants.
 
 use super::{LiveSurface, Slot};
 use crate::{
@@ -45,6 +45,10 @@ pub fn run(
     status: &StatusSlot,
     end: &StopToken,
 ) {
+    // Tracking waits in every frame for all of its threads, and would for one that shares a processor with this work.
+    if let Err(error) = idle_class::enter() {
+        tracing::debug!(%error, "the surface is not sewn in the idle class");
+    }
     let mut sewing = Sewing::default();
     for update in updates {
         let start = Instant::now();
