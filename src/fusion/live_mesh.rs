@@ -1,28 +1,26 @@
 //! The surface while the scan goes on: one patch for each block, extracted again only where the block has changed.
 //!
-//! A patch is the surface in a block's cubes, with vertices of its own. The cubes reach one voxel into the blocks above, so
+//! A patch is the surface in a block's cubes: see [`SurfacePatch`]. The cubes reach one voxel into the blocks above, so
 //! that a changed block changes its own patch and those of the seven blocks below it. All patches together are the triangles
 //! of [`Fusion::mesh`], to the last bit; only the vertices on the patches' rims are there more than once.
 //!
 //! Patches may be brought up to the model in rounds, a part at a time, with frames fused in between. A patch is of one state of
-//! the model, that at its own part; the rims of two parts may lie apart by what the frames in between moved them. Whatever they
-//! changed is extracted again in the next round, so that the first round without frames leaves no seam open.
+//! the model, that at its own part; the rims of two parts may lie apart by what the frames in between moved them, on the same
+//! edges of the lattice. Whatever they changed is extracted again in the next round, so that the first round without frames leaves
+//! nothing apart.
 
 use super::Fusion;
-use super::block::BLOCK_SIDE;
-use super::block_masks::{Corners, Cubes, Neighbours, Voxels, bits};
-use super::cube_cases::cases;
+use super::block_masks::{Neighbours, Voxels};
 use super::each_block::{Reading, TASK_BLOCKS, each};
-use super::marching_cubes::{edge_low, place_on_edge};
+use super::surface_patch::{Renewal, SurfacePatch};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
-use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// The patches of a model, as they were when it was looked at last.
 #[derive(Clone, Default)]
 pub struct LiveMesh {
-    patches: Vec<TriMesh>,
+    patches: Vec<SurfacePatch>,
     voxels: Vec<Voxels>,
     /// The frame after which each block's voxels were read.
     read_after: Vec<u32>,
@@ -35,7 +33,7 @@ pub struct LiveMesh {
 
 impl LiveMesh {
     /// A patch for each block of the volume, in the order in which they were allocated; empty where there is no surface.
-    pub fn patches(&self) -> &[TriMesh] {
+    pub fn patches(&self) -> &[SurfacePatch] {
         &self.patches
     }
 
@@ -47,7 +45,7 @@ impl LiveMesh {
     /// All patches in one mesh, world frame.
     pub fn mesh(&self) -> TriMesh {
         let mut mesh = TriMesh::default();
-        for patch in &self.patches {
+        for SurfacePatch { mesh: patch, .. } in &self.patches {
             let first = mesh.vertices.len() as u32;
             mesh.vertices.extend_from_slice(&patch.vertices);
             let faces = patch.faces.iter();
@@ -92,20 +90,25 @@ impl Fusion {
         let n_patches = live.waiting.len().min(max_patches);
         let blocks: Vec<u32> = live.waiting.drain(..n_patches).collect();
         live.patches
-            .resize(self.volume.blocks().len(), TriMesh::default());
-        self.read_around(live, &blocks);
-        let mut patches: Vec<TriMesh> = blocks
+            .resize(self.volume.blocks().len(), SurfacePatch::default());
+        let coords = self.volume.coords();
+        let around: Vec<Neighbours> = blocks
+            .iter()
+            .map(|&block| Neighbours::of(&self.volume, coords[block as usize]))
+            .collect();
+        self.read(live, &around);
+        let mut patches: Vec<SurfacePatch> = blocks
             .iter()
             .map(|&block| std::mem::take(&mut live.patches[block as usize]))
             .collect();
         let tasks = patches.par_chunks_mut(TASK_BLOCKS);
-        let tasks = tasks.zip(blocks.par_chunks(TASK_BLOCKS));
-        tasks.for_each(|(patches, blocks)| {
+        let tasks = tasks.zip(around.par_chunks(TASK_BLOCKS));
+        tasks.for_each(|(patches, around)| {
             self.eye.arch.dispatch(Renewal {
                 volume: &self.volume,
                 voxels: &live.voxels,
                 patches,
-                blocks,
+                around,
             });
         });
         for (&block, patch) in blocks.iter().zip(patches) {
@@ -115,21 +118,18 @@ impl Fusion {
     }
 
     /// Reads the voxels that the cubes of some blocks reach, as far as frames have changed them since they were read.
-    fn read_around(&self, live: &mut LiveMesh, blocks: &[u32]) {
+    fn read(&self, live: &mut LiveMesh, around: &[Neighbours]) {
         let n_blocks = self.volume.blocks().len();
         live.voxels.resize(n_blocks, Voxels::default());
         live.read_after.resize(n_blocks, 0);
         let mut changed = Vec::new();
-        for &block in blocks {
-            let around = Neighbours::of(&self.volume, self.volume.coords()[block as usize]);
-            for above in around.up {
-                // Where there is no block the number lies beyond all blocks.
-                if let Some(read_after) = live.read_after.get_mut(above as usize)
-                    && *read_after < self.band.touched_in(above)
-                {
-                    *read_after = self.band.frame();
-                    changed.push(above);
-                }
+        for above in around.iter().flat_map(|around| around.up) {
+            // Where there is no block the number lies beyond all blocks.
+            if let Some(read_after) = live.read_after.get_mut(above as usize)
+                && *read_after < self.band.touched_in(above)
+            {
+                *read_after = self.band.frame();
+                changed.push(above);
             }
         }
         let reading = Reading {
@@ -164,92 +164,6 @@ fn affected(volume: &TsdfVolume, changed: impl Iterator<Item = u32>, waiting: &[
         .filter(|(_, is_affected)| **is_affected)
         .map(|(block, _)| block as u32)
         .collect()
-}
-
-/// Voxels along a side that a block's cubes reach, and edges that begin at these.
-const REACH: usize = BLOCK_SIDE as usize + 1;
-const N_EDGES: usize = 3 * REACH * REACH * REACH;
-
-/// No vertex on an edge yet.
-const UNPLACED: u16 = u16::MAX;
-
-/// Extracts the patches of some blocks anew.
-struct Renewal<'a> {
-    volume: &'a TsdfVolume,
-    voxels: &'a [Voxels],
-    patches: &'a mut [TriMesh],
-    blocks: &'a [u32],
-}
-
-impl WithSimd for Renewal<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let mut extraction = Extraction::new(self.volume, self.voxels);
-        for (patch, &block) in self.patches.iter_mut().zip(self.blocks) {
-            extraction.renew(patch, block as usize);
-        }
-    }
-}
-
-/// Extracts one patch after the other.
-struct Extraction<'a> {
-    volume: &'a TsdfVolume,
-    voxels: &'a [Voxels],
-    /// The patch's vertex on each edge, [`UNPLACED`] between two patches.
-    vertex_of: [u16; N_EDGES],
-    /// The edges that have one.
-    placed: Vec<u16>,
-}
-
-impl<'a> Extraction<'a> {
-    fn new(volume: &'a TsdfVolume, voxels: &'a [Voxels]) -> Self {
-        Extraction {
-            volume,
-            voxels,
-            vertex_of: [UNPLACED; N_EDGES],
-            placed: Vec::new(),
-        }
-    }
-
-    /// Puts the surface in a block's cubes in the place of what the patch was.
-    #[inline(always)]
-    fn renew(&mut self, patch: &mut TriMesh, block: usize) {
-        patch.vertices.clear();
-        patch.faces.clear();
-        let coord = self.volume.coords()[block];
-        let around = Neighbours::of(self.volume, coord);
-        let cubes = Cubes::of(self.voxels, &around);
-        if !cubes.any_crossed() {
-            return;
-        }
-        let (corners, cases) = (Corners::of(self.voxels, &around), cases());
-        for (z, &word) in cubes.crossed.iter().enumerate() {
-            for bit in bits(word) {
-                let low = [bit & 7, bit >> 3, z];
-                for triangle in cases[corners.pattern(z, bit)].triangles() {
-                    let mut face = [0; 3];
-                    for (vertex, &edge) in face.iter_mut().zip(triangle) {
-                        let (axis, low) = (edge as usize / 4, edge_low(low, edge));
-                        let key = axis + 3 * (low[0] + REACH * (low[1] + REACH * low[2]));
-                        let known = &mut self.vertex_of[key];
-                        if *known == UNPLACED {
-                            *known = patch.vertices.len() as u16;
-                            self.placed.push(key as u16);
-                            let place = place_on_edge(self.volume, coord, &around, axis, low);
-                            patch.vertices.push(place);
-                        }
-                        *vertex = u32::from(*known);
-                    }
-                    patch.faces.push(face);
-                }
-            }
-        }
-        for edge in self.placed.drain(..) {
-            self.vertex_of[edge as usize] = UNPLACED;
-        }
-    }
 }
 
 #[cfg(test)]

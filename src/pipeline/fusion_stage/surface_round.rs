@@ -2,8 +2,7 @@
 //! there is between two frames, and frames would be dropped.
 
 use crate::{
-    fusion::{Fusion, LiveMesh},
-    geometry::TriMesh,
+    fusion::{Fusion, LiveMesh, SurfacePatch},
     pipeline::live::surface::SurfaceUpdate,
     snapshot::Coverage,
 };
@@ -28,7 +27,7 @@ pub(super) struct SurfaceRound {
     max_patches: usize,
     /// What the round has taken so far, and what has changed by it.
     spent: Duration,
-    changed: Vec<(u32, TriMesh)>,
+    changed: Vec<(u32, SurfacePatch)>,
     /// How far apart rounds are at present.
     between: Duration,
     /// Whether the model is another one since the surface was handed over last.
