@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 /// Rounds are this far apart at least.
 const BETWEEN_ROUNDS: Duration = Duration::from_millis(500);
-/// Rounds may take one part in so many of the fusion thread's time: 70 ms for a relief at 2 mm are spent once a second.
+/// Rounds may take one part in so many of the fusion thread's time: 50 ms for a relief at 2 mm are spent every 750 ms.
 const ROUNDS_SHARE: u32 = 15;
 /// A part shall take about so long, an eighth of the time between two frames.
 const PART: Duration = Duration::from_millis(4);
