@@ -71,6 +71,11 @@ impl Band {
         self.frame
     }
 
+    /// The frame that touched a block last, counted from one.
+    pub fn touched_in(&self, block: u32) -> u32 {
+        self.touched_in[block as usize]
+    }
+
     /// The blocks that were touched after so many frames, in rising order.
     pub fn touched_since(&self, frame: u32) -> impl Iterator<Item = u32> {
         let touched_in = self.touched_in.iter().enumerate();

@@ -1,40 +1,51 @@
 //! The surface while the scan goes on: one patch for each block, extracted again only where the block has changed.
 //!
-//! A patch is the surface in a block's cubes, with vertices of its own. The cubes reach one voxel into the blocks above, so
+//! A patch is the surface in a block's cubes: see [`SurfacePatch`]. The cubes reach one voxel into the blocks above, so
 //! that a changed block changes its own patch and those of the seven blocks below it. All patches together are the triangles
 //! of [`Fusion::mesh`], to the last bit; only the vertices on the patches' rims are there more than once.
+//!
+//! Patches may be brought up to the model in rounds, a part at a time, with frames fused in between. A patch is of one state of
+//! the model, that at its own part; the rims of two parts may lie apart by what the frames in between moved them, on the same
+//! edges of the lattice. Whatever they changed is extracted again in the next round, so that the first round without frames leaves
+//! nothing apart.
 
 use super::Fusion;
-use super::block::BLOCK_SIDE;
-use super::block_masks::{Corners, Cubes, Neighbours, Voxels, bits};
-use super::cube_cases::cases;
+use super::block_masks::{Neighbours, Voxels};
 use super::each_block::{Reading, TASK_BLOCKS, each};
-use super::marching_cubes::{edge_low, place_on_edge};
+use super::surface_patch::{Renewal, SurfacePatch};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
-use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// The patches of a model, as they were when it was looked at last.
 #[derive(Clone, Default)]
 pub struct LiveMesh {
-    patches: Vec<TriMesh>,
+    patches: Vec<SurfacePatch>,
     voxels: Vec<Voxels>,
-    /// Which volume it is of, and the frame that was fused last: see [`Fusion`].
+    /// The frame after which each block's voxels were read.
+    read_after: Vec<u32>,
+    /// Patches that the round has still to extract, in rising order.
+    waiting: Vec<u32>,
+    /// Which volume it is of, and the frame after which the round began: see [`Fusion`].
     volume_number: usize,
     frame: u32,
 }
 
 impl LiveMesh {
     /// A patch for each block of the volume, in the order in which they were allocated; empty where there is no surface.
-    pub fn patches(&self) -> &[TriMesh] {
+    pub fn patches(&self) -> &[SurfacePatch] {
         &self.patches
+    }
+
+    /// Whether a round has begun and not ended.
+    pub fn is_under_way(&self) -> bool {
+        !self.waiting.is_empty()
     }
 
     /// All patches in one mesh, world frame.
     pub fn mesh(&self) -> TriMesh {
         let mut mesh = TriMesh::default();
-        for patch in &self.patches {
+        for SurfacePatch { mesh: patch, .. } in &self.patches {
             let first = mesh.vertices.len() as u32;
             mesh.vertices.extend_from_slice(&patch.vertices);
             let faces = patch.faces.iter();
@@ -49,51 +60,97 @@ impl Fusion {
     /// Brings the patches up to the model as it is; returns which of them were extracted again, in rising order. A mesh that
     /// was of another volume, such as that before loops were closed, is made anew.
     pub fn refresh(&self, live: &mut LiveMesh) -> Vec<u32> {
+        self.begin_round(live);
+        self.extract_waiting(live, usize::MAX)
+    }
+
+    /// A part of [`Self::refresh`], for which frames do not have to wait: extracts at most `max_patches` of the patches that
+    /// were behind the model when the round began, and begins one where none is under way. The round has ended when the mesh is
+    /// under way no more.
+    pub fn refresh_part(&self, live: &mut LiveMesh, max_patches: usize) -> Vec<u32> {
+        if !live.is_under_way() || live.volume_number != self.volume_number {
+            self.begin_round(live);
+        }
+        self.extract_waiting(live, max_patches)
+    }
+
+    /// Finds the patches that are behind the model.
+    fn begin_round(&self, live: &mut LiveMesh) {
         if live.volume_number != self.volume_number {
             *live = LiveMesh::default();
         }
-        let changed: Vec<u32> = self.band.touched_since(live.frame).collect();
+        let changed = self.band.touched_since(live.frame);
+        live.waiting = affected(&self.volume, changed, &live.waiting);
         live.frame = self.band.frame();
         live.volume_number = self.volume_number;
+    }
+
+    /// Extracts the first patches of those that wait, at most so many.
+    fn extract_waiting(&self, live: &mut LiveMesh, max_patches: usize) -> Vec<u32> {
+        let n_patches = live.waiting.len().min(max_patches);
+        let blocks: Vec<u32> = live.waiting.drain(..n_patches).collect();
+        live.patches
+            .resize(self.volume.blocks().len(), SurfacePatch::default());
+        let coords = self.volume.coords();
+        let around: Vec<Neighbours> = blocks
+            .iter()
+            .map(|&block| Neighbours::of(&self.volume, coords[block as usize]))
+            .collect();
+        self.read(live, &around);
+        let mut patches: Vec<SurfacePatch> = blocks
+            .iter()
+            .map(|&block| std::mem::take(&mut live.patches[block as usize]))
+            .collect();
+        let tasks = patches.par_chunks_mut(TASK_BLOCKS);
+        let tasks = tasks.zip(around.par_chunks(TASK_BLOCKS));
+        tasks.for_each(|(patches, around)| {
+            self.eye.arch.dispatch(Renewal {
+                volume: &self.volume,
+                voxels: &live.voxels,
+                patches,
+                around,
+            });
+        });
+        for (&block, patch) in blocks.iter().zip(patches) {
+            live.patches[block as usize] = patch;
+        }
+        blocks
+    }
+
+    /// Reads the voxels that the cubes of some blocks reach, as far as frames have changed them since they were read.
+    fn read(&self, live: &mut LiveMesh, around: &[Neighbours]) {
         let n_blocks = self.volume.blocks().len();
         live.voxels.resize(n_blocks, Voxels::default());
-        live.patches.resize(n_blocks, TriMesh::default());
-        let arch = self.eye.arch;
+        live.read_after.resize(n_blocks, 0);
+        let mut changed = Vec::new();
+        for above in around.iter().flat_map(|around| around.up) {
+            // Where there is no block the number lies beyond all blocks.
+            if let Some(read_after) = live.read_after.get_mut(above as usize)
+                && *read_after < self.band.touched_in(above)
+            {
+                *read_after = self.band.frame();
+                changed.push(above);
+            }
+        }
         let reading = Reading {
             volume: &self.volume,
             blocks: &changed,
             min_weight: self.params.min_surface_weight as f32,
         };
-        let voxels = each(arch, changed.len(), &reading);
+        let voxels = each(self.eye.arch, changed.len(), &reading);
         for (&block, voxels) in changed.iter().zip(voxels) {
             live.voxels[block as usize] = voxels;
         }
-        let affected = affected(&self.volume, &changed);
-        let mut patches: Vec<TriMesh> = affected
-            .iter()
-            .map(|&block| std::mem::take(&mut live.patches[block as usize]))
-            .collect();
-        let tasks = patches.par_chunks_mut(TASK_BLOCKS);
-        let tasks = tasks.zip(affected.par_chunks(TASK_BLOCKS));
-        tasks.for_each(|(patches, blocks)| {
-            arch.dispatch(Renewal {
-                volume: &self.volume,
-                voxels: &live.voxels,
-                patches,
-                blocks,
-            });
-        });
-        for (&block, patch) in affected.iter().zip(patches) {
-            live.patches[block as usize] = patch;
-        }
-        affected
     }
 }
 
-/// The blocks whose cubes have a corner in one of the changed blocks, in rising order.
-fn affected(volume: &TsdfVolume, changed: &[u32]) -> Vec<u32> {
+/// The blocks whose cubes have a corner in one of the changed blocks, and those that wait, in rising order.
+fn affected(volume: &TsdfVolume, changed: impl Iterator<Item = u32>, waiting: &[u32]) -> Vec<u32> {
     let mut is_affected = vec![false; volume.blocks().len()];
-    for &block in changed {
+    for &block in waiting {
+        is_affected[block as usize] = true;
+    }
+    for block in changed {
         let around = Neighbours::of(volume, volume.coords()[block as usize]);
         for below in around.down {
             // Where there is no block the number lies beyond all blocks.
@@ -107,92 +164,6 @@ fn affected(volume: &TsdfVolume, changed: &[u32]) -> Vec<u32> {
         .filter(|(_, is_affected)| **is_affected)
         .map(|(block, _)| block as u32)
         .collect()
-}
-
-/// Voxels along a side that a block's cubes reach, and edges that begin at these.
-const REACH: usize = BLOCK_SIDE as usize + 1;
-const N_EDGES: usize = 3 * REACH * REACH * REACH;
-
-/// No vertex on an edge yet.
-const UNPLACED: u16 = u16::MAX;
-
-/// Extracts the patches of some blocks anew.
-struct Renewal<'a> {
-    volume: &'a TsdfVolume,
-    voxels: &'a [Voxels],
-    patches: &'a mut [TriMesh],
-    blocks: &'a [u32],
-}
-
-impl WithSimd for Renewal<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let mut extraction = Extraction::new(self.volume, self.voxels);
-        for (patch, &block) in self.patches.iter_mut().zip(self.blocks) {
-            extraction.renew(patch, block as usize);
-        }
-    }
-}
-
-/// Extracts one patch after the other.
-struct Extraction<'a> {
-    volume: &'a TsdfVolume,
-    voxels: &'a [Voxels],
-    /// The patch's vertex on each edge, [`UNPLACED`] between two patches.
-    vertex_of: [u16; N_EDGES],
-    /// The edges that have one.
-    placed: Vec<u16>,
-}
-
-impl<'a> Extraction<'a> {
-    fn new(volume: &'a TsdfVolume, voxels: &'a [Voxels]) -> Self {
-        Extraction {
-            volume,
-            voxels,
-            vertex_of: [UNPLACED; N_EDGES],
-            placed: Vec::new(),
-        }
-    }
-
-    /// Puts the surface in a block's cubes in the place of what the patch was.
-    #[inline(always)]
-    fn renew(&mut self, patch: &mut TriMesh, block: usize) {
-        patch.vertices.clear();
-        patch.faces.clear();
-        let coord = self.volume.coords()[block];
-        let around = Neighbours::of(self.volume, coord);
-        let cubes = Cubes::of(self.voxels, &around);
-        if !cubes.any_crossed() {
-            return;
-        }
-        let (corners, cases) = (Corners::of(self.voxels, &around), cases());
-        for (z, &word) in cubes.crossed.iter().enumerate() {
-            for bit in bits(word) {
-                let low = [bit & 7, bit >> 3, z];
-                for triangle in cases[corners.pattern(z, bit)].triangles() {
-                    let mut face = [0; 3];
-                    for (vertex, &edge) in face.iter_mut().zip(triangle) {
-                        let (axis, low) = (edge as usize / 4, edge_low(low, edge));
-                        let key = axis + 3 * (low[0] + REACH * (low[1] + REACH * low[2]));
-                        let known = &mut self.vertex_of[key];
-                        if *known == UNPLACED {
-                            *known = patch.vertices.len() as u16;
-                            self.placed.push(key as u16);
-                            let place = place_on_edge(self.volume, coord, &around, axis, low);
-                            patch.vertices.push(place);
-                        }
-                        *vertex = u32::from(*known);
-                    }
-                    patch.faces.push(face);
-                }
-            }
-        }
-        for edge in self.placed.drain(..) {
-            self.vertex_of[edge as usize] = UNPLACED;
-        }
-    }
 }
 
 #[cfg(test)]
@@ -263,6 +234,65 @@ mod tests {
         fusion.fuse_at(&left, 0.1, &truth[0]);
         let again = fusion.refresh(&mut live).len();
         assert!(again > 0 && again * 2 < all, "{again} of {all}");
+        assert!(triangles(&live.mesh()) == triangles(&fusion.mesh()));
+    }
+
+    /// Goes on in parts of so many patches until nothing is behind the model.
+    fn catch_up(fusion: &Fusion, live: &mut LiveMesh, max_patches: usize) {
+        while !fusion.refresh_part(live, max_patches).is_empty() {}
+    }
+
+    #[test]
+    fn parts_between_frames_end_as_the_mesh_made_at_once() {
+        let (frames, _, camera) = frames(9);
+        let params = FusionParams {
+            min_surface_weight: 1.0,
+            ..small_params()
+        };
+        for max_patches in [1, 60, 400] {
+            let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+            let mut fusion = Fusion::new(camera, noise, params.clone());
+            let (mut live, mut n_cut_short) = (LiveMesh::default(), 0);
+            for (index, frame) in frames.iter().enumerate() {
+                let depth = frame.depth.as_ref().expect("Kinect II");
+                fusion.fuse(depth, frame.device_time_secs);
+                let part = fusion.refresh_part(&mut live, max_patches);
+                assert!(part.len() <= max_patches && part.is_sorted());
+                n_cut_short += usize::from(live.is_under_way());
+                if index == 6 {
+                    // Frames are taken back while a round is under way.
+                    let cut = 0.5 * (frames[4].device_time_secs + frames[5].device_time_secs);
+                    assert!(live.is_under_way() && fusion.take_back(cut));
+                }
+            }
+            assert!(n_cut_short > 5, "{n_cut_short}");
+            // A round that is under way ends, and what was changed meanwhile is caught up with in the next.
+            catch_up(&fusion, &mut live, max_patches);
+            let mut at_once = LiveMesh::default();
+            fusion.refresh(&mut at_once);
+            assert!(
+                live.patches() == at_once.patches(),
+                "parts of {max_patches}"
+            );
+            assert!(triangles(&live.mesh()) == triangles(&fusion.mesh()));
+            assert!(live.mesh().faces.len() > 10_000);
+        }
+    }
+
+    #[test]
+    fn what_waits_in_a_round_is_part_of_a_refresh_at_once() {
+        let (frames, _, camera) = frames(3);
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let mut fusion = Fusion::new(camera, noise, small_params());
+        let mut live = LiveMesh::default();
+        for frame in &frames {
+            let depth = frame.depth.as_ref().expect("Kinect II");
+            fusion.fuse(depth, frame.device_time_secs);
+        }
+        fusion.refresh_part(&mut live, 10);
+        assert!(live.is_under_way());
+        fusion.refresh(&mut live);
+        assert!(!live.is_under_way());
         assert!(triangles(&live.mesh()) == triangles(&fusion.mesh()));
     }
 }

@@ -60,6 +60,7 @@ mod cube_cases;
 mod each_block;
 mod live_mesh;
 mod marching_cubes;
+mod surface_patch;
 #[cfg(test)]
 mod tests;
 
@@ -78,6 +79,7 @@ pub use polish::PolishParams;
 pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
 pub use steps::{FusionStep, OnStep};
+pub use surface_patch::{LatticeEdge, SurfacePatch};
 
 use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, motion_between};
 use align::align;

@@ -5,6 +5,7 @@ mod interim;
 mod operator;
 mod pulse;
 mod showing;
+mod surface_round;
 mod telling;
 mod tracking;
 

@@ -1,8 +1,7 @@
 //! What somebody who looks on sees, made only while somebody looks and no more often than an eye needs.
 
-use super::FusionStage;
+use super::{FusionStage, surface_round::SurfaceRound};
 use crate::{
-    fusion::LiveMesh,
     geometry::Pose,
     pipeline::{
         accounts::FrameAccounts,
@@ -19,17 +18,14 @@ use crate::{
 };
 use crossbeam::channel::Sender;
 use depth_camera::Frame;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Previews are this far apart at least.
 const BETWEEN_PREVIEWS: Duration = Duration::from_millis(90);
-/// ... and what changes slowly, the mesh above all.
-const BETWEEN_MESHES: Duration = Duration::from_millis(500);
+/// ... and what changes slowly.
+const BETWEEN_PATHS: Duration = Duration::from_millis(500);
 /// ... and the strip of shading images, for which the choice among them is made.
 const BETWEEN_STRIPS: Duration = Duration::from_secs(1);
-/// Bringing the mesh up to the model may take one part in so many of the fusion thread's time: 70 ms for a relief at 2 mm are
-/// spent once a second.
-const MESH_SHARE: u32 = 15;
 /// Most poses of a path.
 const MAX_PATH: usize = 2000;
 
@@ -40,11 +36,7 @@ pub(super) struct Showing {
     /// The working range, metres.
     range: [f32; 2],
     full_scale: Option<f64>,
-    mesh: LiveMesh,
-    /// How far apart meshes are at present.
-    between_meshes: Duration,
-    /// Whether the model is another one since the surface was handed over last.
-    is_anew: bool,
+    round: SurfaceRound,
     snapshots: SnapshotList,
     /// Where the camera was tracked well last.
     last_good: Option<Pose>,
@@ -62,9 +54,7 @@ impl Showing {
             surfaces,
             range,
             full_scale,
-            mesh: LiveMesh::default(),
-            between_meshes: BETWEEN_MESHES,
-            is_anew: false,
+            round: SurfaceRound::default(),
             snapshots: SnapshotList::default(),
             last_good: None,
         }
@@ -81,7 +71,7 @@ impl Showing {
     pub(super) fn begin_anew(&mut self) {
         self.snapshots.forget();
         self.last_good = None;
-        self.is_anew = true;
+        self.round.begin_anew();
     }
 
     pub(super) fn interim_slot(&self) -> Slot<InterimScan> {
@@ -148,7 +138,7 @@ impl FusionStage {
 
     fn show_path(&self) {
         let path = &self.showing.live.path;
-        if path.is_due(BETWEEN_MESHES) {
+        if path.is_due(BETWEEN_PATHS) {
             let every = self.trajectory.len().div_ceil(MAX_PATH).max(1);
             let poses = self.trajectory.iter().step_by(every);
             path.write(Some(poses.map(|(_, pose)| *pose).collect()));
@@ -167,7 +157,7 @@ impl FusionStage {
 
     fn show_next_view(&self) {
         let slot = &self.showing.live.next_view;
-        if !slot.is_due(BETWEEN_MESHES) {
+        if !slot.is_due(BETWEEN_PATHS) {
             return;
         }
         let view = || {
@@ -180,31 +170,23 @@ impl FusionStage {
         slot.write(view().filter(|_| !is_lost));
     }
 
-    /// Hands over what has changed of the surface, unless what was handed over last is still being sewn.
+    /// Goes on with the round that brings the surface up to the model, and hands over what it has changed when it ends. One
+    /// begins when it is time, unless what was handed over last is still being sewn.
     fn show_surface(&mut self) {
         let showing = &mut self.showing;
-        if !showing.live.surface.is_due(showing.between_meshes) || showing.surfaces.is_full() {
+        let round = &mut showing.round;
+        let is_due = showing.live.surface.is_due(round.between()) && !showing.surfaces.is_full();
+        if !round.is_under_way() && !is_due {
             return;
         }
-        let start = Instant::now();
-        let (fusion, mesh, pool) = (&self.fusion, &mut showing.mesh, &self.pool);
-        let changed = pool.install(|| fusion.refresh(mesh));
-        let patches = mesh.patches();
-        let update = SurfaceUpdate {
-            is_anew: std::mem::take(&mut showing.is_anew),
-            n_patches: patches.len(),
-            changed: changed
-                .into_iter()
-                .map(|number| (number, patches[number as usize].clone()))
-                .collect(),
-            coverage: self
-                .selector
-                .as_ref()
-                .map_or_else(Coverage::default, |selector| selector.coverage()),
-        };
-        showing.between_meshes = BETWEEN_MESHES.max(start.elapsed() * MESH_SHARE);
-        // There is room, and this is the only sender; a thread that is gone shows nothing any more.
-        let _ = showing.surfaces.try_send(update);
+        round.go_on(&self.fusion, &self.pool);
+        if round.is_under_way() {
+            return;
+        }
+        let selector = self.selector.as_ref();
+        let coverage = selector.map_or_else(Coverage::default, |selector| selector.coverage());
+        // There was room when the round began, and this is the only sender; a thread that is gone shows nothing any more.
+        let _ = showing.surfaces.try_send(round.end(coverage));
     }
 
     /// Checks once a second that every frame is accounted for; what is wrong is told of once.

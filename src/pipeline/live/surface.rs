@@ -1,16 +1,17 @@
 //! The surface for whoever looks on: patches of the live mesh sewn together, with normals and coverage.
 //!
-//! A thread of its own makes it, of what the fusion thread hands over between two frames: capture does not wait for it, and
-//! it takes a quarter of a core at most.
+//! A thread of its own makes it, of what the fusion thread hands over between frames: capture does not wait for it. It takes a
+//! quarter of a core at most, and only turns that nobody else wants.
 
 use super::{LiveSurface, Slot};
 use crate::{
+    fusion::{LatticeEdge, SurfacePatch},
     geometry::TriMesh,
     pipeline::status::{MeshStatus, StatusSlot, StopToken},
     snapshot::Coverage,
 };
 use crossbeam::channel::Receiver;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use std::{
     collections::HashMap,
     thread,
@@ -33,7 +34,7 @@ pub struct SurfaceUpdate {
     /// How many patches there are.
     pub n_patches: usize,
     /// Those that have changed, by number.
-    pub changed: Vec<(u32, TriMesh)>,
+    pub changed: Vec<(u32, SurfacePatch)>,
     /// What the shading images so far tell.
     pub coverage: Coverage,
 }
@@ -45,6 +46,10 @@ pub fn run(
     status: &StatusSlot,
     end: &StopToken,
 ) {
+    // Tracking waits in every frame for all of its threads, and would for one that shares a processor with this work.
+    if let Err(error) = idle_class::enter() {
+        tracing::debug!(%error, "the surface is not sewn in the idle class");
+    }
     let mut sewing = Sewing::default();
     for update in updates {
         let start = Instant::now();
@@ -70,7 +75,7 @@ fn rest(duration: Duration, end: &StopToken) {
 /// The patches in hand.
 #[derive(Debug, Default)]
 struct Sewing {
-    patches: Vec<TriMesh>,
+    patches: Vec<SurfacePatch>,
     revision: u32,
 }
 
@@ -79,7 +84,8 @@ impl Sewing {
         if update.is_anew {
             self.patches.clear();
         }
-        self.patches.resize(update.n_patches, TriMesh::default());
+        self.patches
+            .resize(update.n_patches, SurfacePatch::default());
         for (number, patch) in update.changed {
             if let Some(place) = self.patches.get_mut(number as usize) {
                 *place = patch;
@@ -89,23 +95,27 @@ impl Sewing {
         dressed(&self.sewn(), &update.coverage, self.revision)
     }
 
-    /// One mesh, in which the patches share the vertices on their rims.
+    /// One mesh, in which the patches share the vertices on their rims: those of two patches on one edge become one, though
+    /// frames may have moved it between their extractions.
     fn sewn(&self) -> TriMesh {
         let mut mesh = TriMesh::default();
-        let mut number_of: HashMap<[u64; 3], u32> = HashMap::new();
-        let key = |vertex: &Point3<f64>| [vertex.x, vertex.y, vertex.z].map(f64::to_bits);
+        let mut number_of: HashMap<LatticeEdge, u32> = HashMap::new();
         let mut numbers = Vec::new();
-        for patch in &self.patches {
+        for SurfacePatch { mesh: patch, rim } in &self.patches {
             if mesh.faces.len() + patch.faces.len() > MAX_FACES {
                 break;
             }
             numbers.clear();
-            for vertex in &patch.vertices {
-                let number = number_of.entry(key(vertex)).or_insert_with(|| {
+            let mut rim = rim.iter().peekable();
+            for (index, vertex) in patch.vertices.iter().enumerate() {
+                let next = mesh.vertices.len() as u32;
+                let on_rim = rim.next_if(|(vertex, _)| *vertex as usize == index);
+                let number =
+                    on_rim.map_or(next, |(_, edge)| *number_of.entry(*edge).or_insert(next));
+                if number == next {
                     mesh.vertices.push(*vertex);
-                    mesh.vertices.len() as u32 - 1
-                });
-                numbers.push(*number);
+                }
+                numbers.push(number);
             }
             let faces = patch.faces.iter();
             mesh.faces
@@ -142,18 +152,19 @@ fn small(normal: &Vector3<f64>) -> [i8; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point3;
 
-    /// A square of two faces at this x, one metre wide, facing towards −z.
-    fn square(x: f64) -> TriMesh {
-        let corner = |u: f64, v: f64| Point3::new(x + u, v, 0.5);
-        TriMesh {
-            vertices: vec![
-                corner(0., 0.),
-                corner(0., 1.),
-                corner(1., 1.),
-                corner(1., 0.),
-            ],
-            faces: vec![[0, 1, 2], [0, 2, 3]],
+    /// A square of two faces at this x, one metre wide, facing towards −z; its sides at either end are rims.
+    fn square(x: i32) -> SurfacePatch {
+        let corner = |u: i32, v: i32| Point3::new(f64::from(x + u), f64::from(v), 0.5);
+        let edge = |u: i32, v: i32| LatticeEdge::of_voxel([x + u, v, 0], 2);
+        let corners = [[0, 0], [0, 1], [1, 1], [1, 0]];
+        SurfacePatch {
+            mesh: TriMesh {
+                vertices: corners.map(|[u, v]| corner(u, v)).to_vec(),
+                faces: vec![[0, 1, 2], [0, 2, 3]],
+            },
+            rim: (0..).zip(corners.map(|[u, v]| edge(u, v))).collect(),
         }
     }
 
@@ -162,7 +173,7 @@ mod tests {
         let mut sewing = Sewing::default();
         let update = SurfaceUpdate {
             n_patches: 2,
-            changed: vec![(0, square(0.0)), (1, square(1.0))],
+            changed: vec![(0, square(0)), (1, square(1))],
             ..SurfaceUpdate::default()
         };
         let both = sewing.take(update);
@@ -171,7 +182,7 @@ mod tests {
         assert_eq!((both.revision, both.coverage), (1, vec![0; 6]));
         let apart = sewing.take(SurfaceUpdate {
             n_patches: 2,
-            changed: vec![(1, square(3.0))],
+            changed: vec![(1, square(3))],
             ..SurfaceUpdate::default()
         });
         assert_eq!((apart.positions.len(), apart.revision), (8, 2));
@@ -181,5 +192,24 @@ mod tests {
             ..SurfaceUpdate::default()
         });
         assert!(anew.faces.is_empty());
+    }
+
+    #[test]
+    fn patches_of_different_times_leave_no_seam_open() {
+        let mut later = square(1);
+        for vertex in &mut later.mesh.vertices {
+            vertex.z += 0.001;
+        }
+        let mut inner = square(0);
+        inner.rim.retain(|(vertex, _)| *vertex >= 2);
+        let mut sewing = Sewing::default();
+        let surface = sewing.take(SurfaceUpdate {
+            n_patches: 2,
+            changed: vec![(0, inner), (1, later)],
+            ..SurfaceUpdate::default()
+        });
+        assert_eq!(surface.faces, [[0, 1, 2], [0, 2, 3], [3, 2, 4], [3, 4, 5]]);
+        let depths: Vec<f32> = surface.positions.iter().map(|place| place[2]).collect();
+        assert_eq!(depths, [0.5, 0.5, 0.5, 0.5, 0.501, 0.501]);
     }
 }
