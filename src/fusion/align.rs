@@ -56,7 +56,7 @@ pub fn align(
         inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
         rmse_m: equations.rmse_m(),
         conditioning,
-        see_through_share: icp::see_through_share(level, model, &pose, volume.truncation_m()),
+        see_through_share: icp::see_through_share(level, model, &pose, volume.voxel_size_m()),
         held_share: degeneracy.least_share,
         fitness: 0.0,
     };

@@ -201,10 +201,10 @@ fn a_kidnapped_kinect1_finds_back_to_seen_places_and_locks_nowhere_else() {
     };
     let (pot, desk) = (recording(&pot, 130), recording(&desk, 130));
     // The desk's measured path is not true to the millimetre: what counts is where the camera was tracked before. On the desk,
-    // fast rotation, 11 of 20 jumps are found back, against the 19 that are wanted; the cause is not known.
+    // fast rotation, 17 of 20 jumps are found back, against the 19 that are wanted: the others lie between places.
     let scenes = [
         ("pot", &pot, &desk, 2.0, 19),
-        ("desk", &desk, &pot, 3.0, 11),
+        ("desk", &desk, &pot, 3.0, 17),
     ];
     for (name, seen, other, depth_max_m, least_found) in scenes {
         let (fusion, tracked) = tracked_model(seen, depth_max_m);

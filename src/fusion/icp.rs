@@ -87,24 +87,33 @@ pub fn align(
 
 /// A step below 10 µm and 10 µrad: the next level, or the next frame, sees more.
 pub fn is_small(step: &Pose) -> bool {
-    step.translation.vector.norm() < 1e-5 && step.rotation.angle() < 1e-5
+    is_below(step, 1e-5)
 }
 
-/// Points this many truncation distances behind the model's surface count as seen through it.
-const BEHIND_TRUNCATIONS: f32 = 2.0;
+/// The next level, or the distances, mend what is left after a step of 0.2 mm and 0.2 mrad.
+const LAST_STEP: f64 = 2e-4;
+
+/// Whether a step is shorter than so many metres, and turns by less than as many radians.
+fn is_below(step: &Pose, limit: f64) -> bool {
+    step.translation.vector.norm() < limit && step.rotation.angle() < limit
+}
+
+/// Points this many voxels behind a surface count as seen through it. Not a share of the truncation distance: what depth
+/// at the rim of a surface is off by does not shrink with the band.
+pub const BEHIND_VOXELS: f32 = 10.0;
 
 /// Share of a frame's points that lie behind the model's surface, as seen from where the model was raycast.
 pub fn see_through_share(
     level: &Level,
     model: &CastModel,
     world_from_camera: &Pose,
-    truncation_m: f32,
+    voxel_size_m: f32,
 ) -> f64 {
     let motion = Motion::new(world_from_camera, model.world_from_camera);
     let map_from_world = model.world_from_camera.inverse();
     let axis = Vector3::from(rows(map_from_world.rotation.to_rotation_matrix().matrix())[2]);
     let offset = map_from_world.translation.vector.z as f32;
-    let margin = BEHIND_TRUNCATIONS * truncation_m;
+    let margin = BEHIND_VOXELS * voxel_size_m;
     let (mut n_seen, mut n_behind) = (0usize, 0usize);
     for pixel in 0..level.depth.len() {
         let point = level.point(pixel);

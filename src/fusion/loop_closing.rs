@@ -11,6 +11,7 @@ use super::band::Band;
 use super::eye::Eye;
 use super::fragment_alignment::{Alignment, align, mutual_overlap};
 use super::fragments::{Fragment, cut};
+use super::icp;
 use super::keyframes::Keyframe;
 use super::pose_correction::PoseCorrection;
 use super::pose_graph::{Edge, optimise};
@@ -283,7 +284,7 @@ fn aligned_pairs(
     params: &FusionParams,
     goes_on: &GoesOn,
 ) -> Vec<Pair> {
-    let margin_m = 2.0 * params.truncation_m() as f32;
+    let margin_m = icp::BEHIND_VOXELS * params.voxel_size_m as f32;
     let closing = &params.loop_closing;
     let guess = |source: usize, target: usize| nodes[target].inverse() * nodes[source];
     let candidates: Vec<(usize, usize)> = (0..fragments.len())
