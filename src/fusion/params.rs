@@ -13,7 +13,8 @@ use serde::{Deserialize, Serialize};
 pub struct FusionParams {
     /// Distance between voxels: 2 mm for an object within a metre, 5 mm for a room.
     pub voxel_size_m: f64,
-    /// Truncation distance in voxels; at least three depth sigmas should fit.
+    /// Truncation distance in voxels. Three depth sigmas should fit; what is thinner than twice the distance, a rim or a leaf,
+    /// is pushed apart by what was measured on its other side.
     pub truncation_voxels: f64,
     /// Nearer depth is ignored.
     pub depth_min_m: f64,
@@ -54,7 +55,7 @@ impl Default for FusionParams {
     fn default() -> Self {
         FusionParams {
             voxel_size_m: 0.002,
-            truncation_voxels: 5.0,
+            truncation_voxels: 3.5,
             depth_min_m: 0.35,
             depth_max_m: 2.0,
             min_surface_weight: 2.0,

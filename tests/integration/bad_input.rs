@@ -129,7 +129,7 @@ fn an_output_folder_that_cannot_be_made_is_named() {
 /// A limit on the size of files stands in for a full disk: both fail in the middle of a file.
 #[test]
 fn a_file_that_does_not_fit_is_named_and_leaves_nothing_behind() {
-    let bench = Workbench::with_frames(3);
+    let bench = Workbench::with_frames(4);
     let script = format!(
         "trap '' XFSZ; ulimit -f 64; exec {PROGRAM} replay {} --out {} --no-refine",
         bench.session().display(),
