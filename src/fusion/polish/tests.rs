@@ -74,8 +74,8 @@ fn poses_that_err_are_put_right() {
     assert_eq!(fusion.n_unpolished(), 0);
     assert!((before.0 - 0.005).abs() < 1e-4 && (before.1 - 0.004).abs() < 1e-4);
     // What tracking itself is off.
-    assert!(after.0 < 0.7 * before.0, "{before:?} {after:?}");
-    assert!(after.1 < 0.4 * before.1, "{before:?} {after:?}");
+    assert!(after.0 < 0.75 * before.0, "{before:?} {after:?}");
+    assert!(after.1 < 0.45 * before.1, "{before:?} {after:?}");
 }
 
 #[test]
