@@ -3,7 +3,7 @@
 //! The scan is cut into [`fragments`](super::fragments), every pair of fragments that see the same surface is aligned, a pose
 //! graph finds the poses that agree best with all alignments, and every frame is fused again where it then belongs. A pair is
 //! believed only if neither looks through the other's surface: inliers and residual cannot tell a false pair. In the end the
-//! fragments must lie closer to the surface that all frames make together than they did, or everything stays as it was.
+//! fragments must lie as close to the surface that all frames make together as they did, or everything stays as it was.
 //!
 //! Not handled: places that were seen twice but drifted apart beyond the alignment's reach of 40 mm.
 
@@ -118,11 +118,14 @@ const DRIFT_SIGMA_M: f64 = 0.02;
 const DRIFT_SIGMA_RAD: f64 = 0.03;
 /// What is left of that information where tracking was lost and found in between: ten times the drift.
 const BROKEN_TRUST: f64 = 0.01;
+/// Loops that leave the fragments farther from the common surface, by this factor, are not closed. A little farther they may
+/// lie, for thin parts and what is fused for the second time change the surface too.
+const MAX_MISFIT_GROWTH: f64 = 1.02;
 /// A pair that the others contradict by more than this is doubted.
 const KERNEL_SIGMAS: f64 = 5.0;
 
 /// Closes the loops of a scan whose frames were fused into `live` as tracked; `None` if it never came back to what it had
-/// seen, if its frames would not fit one another better, or if it shall not go on.
+/// seen, if its frames would not fit one another as well, or if it shall not go on.
 pub(super) fn find(
     frames: &[Keyframe],
     eye: &Eye,
@@ -143,7 +146,8 @@ pub(super) fn find(
         return None;
     }
     let correction = PoseCorrection::of_fragments(frames, &fragments, &nodes);
-    let (volume, band) = fuse_again(frames, &correction, eye, params, goes_on);
+    let (mut volume, mut band) = (params.empty_volume(), Band::default());
+    fuse_again((&mut volume, &mut band), frames, &correction, eye, goes_on);
     if !goes_on() {
         return None;
     }
@@ -159,8 +163,8 @@ pub(super) fn find(
         misfit_before_m: misfit_m(&fragments, &tracked, live),
         misfit_after_m: misfit_m(&fragments, &corrected, &volume),
     };
-    let is_better = closure.misfit_after_m < closure.misfit_before_m;
-    is_better.then_some(ClosedLoops {
+    let fits = closure.misfit_after_m < MAX_MISFIT_GROWTH * closure.misfit_before_m;
+    fits.then_some(ClosedLoops {
         closure,
         volume,
         band,
@@ -189,23 +193,21 @@ fn settle(
     (nodes, n_loops)
 }
 
-/// Fuses all frames at their corrected poses, or the first of them if it shall not go on.
+/// Fuses all frames at their corrected poses into an empty volume, or the first of them if it shall not go on.
 pub(super) fn fuse_again(
+    (volume, band): (&mut TsdfVolume, &mut Band),
     frames: &[Keyframe],
     correction: &PoseCorrection,
     eye: &Eye,
-    params: &FusionParams,
     goes_on: &GoesOn,
-) -> (TsdfVolume, Band) {
+) {
     let mut eye = eye.clone();
-    let (mut volume, mut band) = (params.empty_volume(), Band::default());
     for frame in frames.iter().take_while(|_| goes_on()) {
         if eye.take(&frame.depth_m()) {
             let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
-            eye.fuse_into(&mut volume, &mut band, &pose, &mut |_| {});
+            eye.fuse_into(volume, band, &pose, &mut |_| {});
         }
     }
-    (volume, band)
 }
 
 /// Mean distance of the fragments' points to the surface of a volume, where it knows one, metres.

@@ -43,6 +43,7 @@ mod sight;
 mod polish;
 mod relocalise;
 mod take_back;
+mod thin_parts;
 
 mod depth_field;
 mod fragment_alignment;
@@ -235,7 +236,7 @@ impl Fusion {
 
     /// At the end of a scan: takes back the drift between visits of one place and fuses every frame anew. The poses handed
     /// out so far are then to be moved by [`LoopClosure::correction`], and no more frames can be tracked. `None`, and nothing
-    /// is changed, if the camera never came back, if its frames would not fit one another better, or as soon as `goes_on`
+    /// is changed, if the camera never came back, if its frames would not fit one another as well, or as soon as `goes_on`
     /// says no.
     pub fn close_loops(&mut self, goes_on: &GoesOn) -> Option<LoopClosure> {
         let frames = self.keyframes.frames();

@@ -13,9 +13,11 @@ use serde::{Deserialize, Serialize};
 pub struct FusionParams {
     /// Distance between voxels: 2 mm for an object within a metre, 5 mm for a room.
     pub voxel_size_m: f64,
-    /// Truncation distance in voxels. Three depth sigmas should fit; what is thinner than twice the distance, a rim or a leaf,
-    /// is pushed apart by what was measured on its other side.
+    /// Truncation distance in voxels. Three depth sigmas should fit, and what views of one place disagree by.
     pub truncation_voxels: f64,
+    /// Truncation distance in voxels for parts of the finished model that are thinner than the other one, rims and leaves; from
+    /// that one on there is no difference.
+    pub thin_truncation_voxels: f64,
     /// Nearer depth is ignored.
     pub depth_min_m: f64,
     /// Farther depth is ignored.
@@ -55,7 +57,8 @@ impl Default for FusionParams {
     fn default() -> Self {
         FusionParams {
             voxel_size_m: 0.002,
-            truncation_voxels: 3.5,
+            truncation_voxels: 5.0,
+            thin_truncation_voxels: 2.0,
             depth_min_m: 0.35,
             depth_max_m: 2.0,
             min_surface_weight: 2.0,
@@ -91,6 +94,8 @@ impl FusionParams {
         };
         within("voxel_size_m", self.voxel_size_m, 0.0005, 0.1)?;
         within("truncation_voxels", self.truncation_voxels, 2.0, 20.0)?;
+        let thin = self.thin_truncation_voxels;
+        within("thin_truncation_voxels", thin, 1.5, 20.0)?;
         within("depth_min_m", self.depth_min_m, 0.1, 10.0)?;
         within(
             "depth_max_m",
@@ -147,21 +152,23 @@ impl FusionParams {
 
     /// A volume in which nothing is fused yet.
     pub(super) fn empty_volume(&self) -> TsdfVolume {
-        self.volume_of(self.voxel_size_m)
+        self.volume_of(self.voxel_size_m, self.truncation_m())
+    }
+
+    /// A volume for thin parts.
+    pub(super) fn thin_volume(&self) -> TsdfVolume {
+        let truncation_m = self.voxel_size_m * self.thin_truncation_voxels;
+        self.volume_of(self.voxel_size_m, truncation_m)
     }
 
     /// A volume for a fragment: voxels twice as large, for its surface serves alignment alone.
     pub(super) fn fragment_volume(&self) -> TsdfVolume {
-        self.volume_of(2.0 * self.voxel_size_m)
+        self.volume_of(2.0 * self.voxel_size_m, self.truncation_m())
     }
 
-    fn volume_of(&self, voxel_size_m: f64) -> TsdfVolume {
+    fn volume_of(&self, voxel_size_m: f64, truncation_m: f64) -> TsdfVolume {
         let budget_bytes = self.memory_budget_mb << 20;
-        TsdfVolume::new(
-            voxel_size_m as f32,
-            self.truncation_m() as f32,
-            budget_bytes,
-        )
+        TsdfVolume::new(voxel_size_m as f32, truncation_m as f32, budget_bytes)
     }
 
     /// The working range.

@@ -23,8 +23,8 @@ impl Fusion {
         // The old volume goes first: two of them might not find room.
         (self.volume, self.band) = (self.params.empty_volume(), Default::default());
         let (frames, nowhere) = (self.keyframes.frames(), PoseCorrection::default());
-        (self.volume, self.band) =
-            loop_closing::fuse_again(frames, &nowhere, &self.eye, &self.params, &|| true);
+        let anew = (&mut self.volume, &mut self.band);
+        loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| true);
         self.volume_number += 1;
         self.stretch = self.n_fused;
         self.interrupt();

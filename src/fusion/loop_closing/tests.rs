@@ -33,7 +33,9 @@ fn closed_while(
     goes_on: &GoesOn,
 ) -> Option<ClosedLoops> {
     let nothing_moved = PoseCorrection::default();
-    let (live, _) = fuse_again(keyframes.frames(), &nothing_moved, eye, params, &|| true);
+    let (mut live, mut band) = (params.empty_volume(), Band::default());
+    let anew = (&mut live, &mut band);
+    fuse_again(anew, keyframes.frames(), &nothing_moved, eye, &|| true);
     find(keyframes.frames(), eye, params, &live, goes_on)
 }
 

@@ -18,6 +18,7 @@ impl FusionStage {
     /// Closes loops and takes the mesh out of the volume, whose memory is free before refinement begins.
     pub(super) fn finish(mut self) -> FusionSummary {
         let mut closing_clock = StageClock::new("loop closing");
+        let mut thinning_clock = StageClock::new("thin parts");
         let mut meshing_clock = StageClock::new("mesh extraction");
         self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
         self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
@@ -39,6 +40,12 @@ impl FusionStage {
                 tell_of(closure);
                 self.correct(&closure.correction, snapshots.as_mut());
             }
+            let correction = closure.map_or_else(PoseCorrection::default, |c| c.correction);
+            let n_thin = thinning_clock.time(|| {
+                let (fusion, pool) = (&mut self.fusion, &self.pool);
+                pool.install(|| fusion.separate_thin_parts(&correction, &goes_on))
+            });
+            tracing::info!(n_bricks = n_thin, "thin parts fused with a narrow band");
             if self.poses.is_none() {
                 self.settle(snapshots.as_mut(), &goes_on);
             }
@@ -68,6 +75,7 @@ impl FusionStage {
             self.selection_clock,
             self.revision_clock,
             closing_clock,
+            thinning_clock,
             meshing_clock,
         ]
         .iter()
