@@ -2,32 +2,43 @@
 
 use depth_camera::Sensor;
 
-/// Standard deviation of one depth pixel along the optical axis, quadratic in distance: `at_m + growth·(z − z0)²`.
+/// Standard deviation of one depth pixel along the optical axis, quadratic in distance: `floor_m + growth·(z − z0)²`; and what a
+/// pixel on a rim is worth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthNoise {
     floor_m: f32,
     growth_per_m: f32,
     reference_m: f32,
+    rim_weight: f32,
 }
 
 impl DepthNoise {
     /// The published noise of a sensor.
     ///
     /// Kinect I: Nguyen, Izadi, Lovell 2012, σ = 1.2 mm + 1.9 mm (z − 0.4)² at up to 60° of incidence.
-    /// Kinect II: Fankhauser et al. 2015, σ = 1.5 − 0.5 z + 0.3 z² mm; completed to a square.
+    /// Kinect II: Fankhauser et al. 2015, σ = 1.5 − 0.5 z + 0.3 z² mm; completed to a square. On a rim its pixels mix the light
+    /// of two surfaces and lie between them; those of a Kinect I are matched to one or the other.
     pub fn of_sensor(sensor: Sensor) -> Self {
         match sensor {
             Sensor::Kinect1 => DepthNoise {
                 floor_m: 0.0012,
                 growth_per_m: 0.0019,
                 reference_m: 0.4,
+                rim_weight: 0.1,
             },
             Sensor::Kinect2 => DepthNoise {
                 floor_m: 0.0013,
                 growth_per_m: 0.0003,
                 reference_m: 0.83,
+                rim_weight: 0.01,
             },
         }
+    }
+
+    /// Weight of a pixel without a normal, on a rim, beside one that faces the camera.
+    #[inline(always)]
+    pub fn rim_weight(&self) -> f32 {
+        self.rim_weight
     }
 
     /// Standard deviation at a depth, metres.

@@ -51,8 +51,6 @@ impl DepthStep {
 
 /// Depth at which a frontal measurement has weight 1: object scale.
 const REFERENCE_DEPTH_M: f32 = 0.6;
-/// Weight of a pixel without a normal, on a rim, where depth is least reliable; arbitrary.
-const RIM_WEIGHT: f32 = 0.1;
 /// A difference along the axis never counts for less than this share of itself (surfaces steeper than 75°).
 const MIN_SLOPE: f32 = 0.25;
 
@@ -293,7 +291,7 @@ impl FullRow<'_> {
             let sigma_m = self.noise.sigma_m(z);
             let reach = SAME_SURFACE_SIGMAS * sigma_m + 2.5 * self.pitch * z;
             let ratio = reference / sigma_m;
-            let rim = pack(RIM_WEIGHT * ratio * ratio, 1.0);
+            let rim = pack(self.noise.rim_weight() * ratio * ratio, 1.0);
             let on_surface = (half != 0) & ((z - half_depth).abs() < reach);
             let packed = if on_surface { half } else { rim };
             pixels[i] = self.step.join(z, packed);
