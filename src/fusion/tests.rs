@@ -72,9 +72,10 @@ fn poses_follow_the_truth_and_do_not_depend_on_threads() {
     assert_eq!(poses, run(2));
     for (pose, truth) in poses.iter().zip(&truth) {
         let off = motion_between(truth, pose);
-        // Half a voxel, and the angle that moves the object, at 0.6 m, by a voxel.
-        assert!(off.translation_m < 0.002, "{off:?}");
-        assert!(off.rotation_rad < 0.006, "{off:?}");
+        // A voxel; and the angle that moves the plaque's border, 0.12 m from its middle, by a quarter of one: it is nearly flat, and what
+        // two noisy frames have fused hardly holds it.
+        assert!(off.translation_m < 0.004, "{off:?}");
+        assert!(off.rotation_rad < 0.01, "{off:?}");
     }
 }
 
