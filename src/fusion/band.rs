@@ -3,6 +3,7 @@
 use super::block::{BLOCK_SIDE, BlockCoord};
 use super::icp::{Rotation, rows};
 use super::lanes::{LANES, Lane};
+use super::noise::DepthNoise;
 use super::pyramid::FramePyramid;
 use super::volume::{Refusal, TsdfVolume};
 use crate::geometry::Pose;
@@ -89,12 +90,14 @@ impl Band {
         self.refused
     }
 
-    /// Finds the blocks within the truncation distance of a frame's depth and allocates those that are new.
+    /// Finds the blocks within the truncation distance of a frame's depth and allocates those that are new. Pixels on rims that
+    /// mix two surfaces find none: most lie in the air between, and where there is surface others see it.
     pub fn find(
         &mut self,
         arch: Arch,
         volume: &mut TsdfVolume,
         frame: &FramePyramid,
+        noise: &DepthNoise,
         world_from_camera: &Pose,
     ) {
         self.frame += 1;
@@ -105,6 +108,10 @@ impl Band {
         let pitch = 0.5 * frame.reduced[0].pitch;
         // Beyond this depth a grid's rays are too far apart, and blocks could fall between them.
         let until_m = STRIDES.map(|stride| MAX_SPACING_BLOCKS * block_m / (pitch * stride as f32));
+        // A pixel of the finest grid for each of the half image.
+        let half = &frame.reduced[0];
+        let faces =
+            |row: usize, column: usize| half.normals[2][row * half.rays.width + column] < 0.0;
         let mut rays = RayLanes::default();
         for (row, v) in (FINEST / 2..frame.rays.height).step_by(FINEST).enumerate() {
             for (column, u) in (FINEST / 2..frame.rays.width).step_by(FINEST).enumerate() {
@@ -113,7 +120,7 @@ impl Band {
                 // The coarsest grid that the pixel belongs to, and the depth up to which a coarser one will do.
                 let grid = ((row | column).trailing_zeros() as usize).min(STRIDES.len() - 1);
                 let coarser_until_m = until_m.get(grid + 1).copied().unwrap_or(0.0);
-                if depth > coarser_until_m {
+                if depth > coarser_until_m && (!noise.mixes_at_rims() || faces(row, column)) {
                     rays.push([frame.rays.x[pixel], frame.rays.y[pixel], depth]);
                 }
                 if rays.n == LANES {
@@ -250,8 +257,10 @@ impl WithSimd for Sample<'_> {
 mod tests {
     use super::*;
     use crate::fusion::arch_levels;
+    use crate::fusion::preprocess::build_levels;
     use crate::geometry::camera::tests::distorted_camera;
     use crate::geometry::increment;
+    use depth_camera::Sensor;
     use nalgebra::{Point3, Vector6};
 
     #[test]
@@ -266,12 +275,13 @@ mod tests {
                 1.0 / (1.0 + 0.4 * x - 0.3 * y)
             };
         }
+        let noise = DepthNoise::of_sensor(Sensor::Kinect1);
         for voxel_size_m in [0.002, 0.005] {
             let mut first: Option<Vec<BlockCoord>> = None;
             for arch in arch_levels() {
                 let mut volume = TsdfVolume::new(voxel_size_m, 5.0 * voxel_size_m, usize::MAX);
                 let mut band = Band::default();
-                band.find(arch, &mut volume, &frame, &pose);
+                band.find(arch, &mut volume, &frame, &noise, &pose);
                 assert_eq!(band.touched().len(), volume.coords().len());
                 let expected = first.get_or_insert_with(|| volume.coords().to_vec());
                 assert_eq!(expected, volume.coords());
@@ -288,5 +298,37 @@ mod tests {
                 assert!(n_missed * 100 < n_seen, "{n_missed} of {n_seen}");
             }
         }
+    }
+
+    #[test]
+    fn what_lies_between_two_surfaces_finds_blocks_only_where_pixels_do_not_mix() {
+        let mut frame = FramePyramid::new(&distorted_camera());
+        let width = frame.rays.width;
+        // A step from 0.8 m to 1 m, and on it a column of pixels at every depth between.
+        for (pixel, depth) in frame.depth.iter_mut().enumerate() {
+            let (u, v) = (pixel % width, pixel / width);
+            *depth = match u.cmp(&(width / 2 | 1)) {
+                std::cmp::Ordering::Less => 0.8,
+                std::cmp::Ordering::Equal => 0.85 + 0.1 * v as f32 / frame.rays.height as f32,
+                std::cmp::Ordering::Greater => 1.0,
+            };
+        }
+        let arch = Arch::new();
+        let n_blocks_between = |sensor| {
+            let noise = DepthNoise::of_sensor(sensor);
+            let mut frame = frame.clone();
+            build_levels(arch, &noise, &mut frame);
+            let mut volume = TsdfVolume::new(0.002, 0.01, usize::MAX);
+            Band::default().find(arch, &mut volume, &frame, &noise, &Pose::identity());
+            let (near, far) = (volume.block_coord(0.83), volume.block_coord(0.97));
+            let between = |coord: &&BlockCoord| (near..far).contains(&coord[2]);
+            (
+                volume.coords().iter().filter(between).count(),
+                volume.coords().len(),
+            )
+        };
+        let (between, n_blocks) = n_blocks_between(Sensor::Kinect2);
+        assert!(between == 0 && n_blocks > 1000, "{between} of {n_blocks}");
+        assert!(n_blocks_between(Sensor::Kinect1).0 > 10);
     }
 }

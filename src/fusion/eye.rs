@@ -68,7 +68,13 @@ impl Eye {
         let truncation_m = volume.truncation_m();
         self.observations
             .fill(self.arch, &self.frame, &self.noise, truncation_m);
-        band.find(self.arch, volume, &self.frame, world_from_camera);
+        band.find(
+            self.arch,
+            volume,
+            &self.frame,
+            &self.noise,
+            world_from_camera,
+        );
         on_step(FusionStep::Allocate);
         let view = View::new(volume, self.lens, world_from_camera);
         integrate(self.arch, volume, band.touched(), &self.observations, &view);

@@ -9,7 +9,7 @@ pub struct DepthNoise {
     floor_m: f32,
     growth_per_m: f32,
     reference_m: f32,
-    rim_weight: f32,
+    mixes_at_rims: bool,
 }
 
 impl DepthNoise {
@@ -24,13 +24,13 @@ impl DepthNoise {
                 floor_m: 0.0012,
                 growth_per_m: 0.0019,
                 reference_m: 0.4,
-                rim_weight: 0.1,
+                mixes_at_rims: false,
             },
             Sensor::Kinect2 => DepthNoise {
                 floor_m: 0.0013,
                 growth_per_m: 0.0003,
                 reference_m: 0.83,
-                rim_weight: 0.01,
+                mixes_at_rims: true,
             },
         }
     }
@@ -38,7 +38,12 @@ impl DepthNoise {
     /// Weight of a pixel without a normal, on a rim, beside one that faces the camera.
     #[inline(always)]
     pub fn rim_weight(&self) -> f32 {
-        self.rim_weight
+        if self.mixes_at_rims { 0.01 } else { 0.1 }
+    }
+
+    /// Whether a pixel on a rim mixes two surfaces, so that it may lie where there is none.
+    pub fn mixes_at_rims(&self) -> bool {
+        self.mixes_at_rims
     }
 
     /// Standard deviation at a depth, metres.
