@@ -10,8 +10,10 @@ use std::{
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, bounded};
 use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame};
+use udev_monitor::UsbMonitor;
 
 use crate::{
+    announcements::Announcements,
     assembly::{Assembler, Captured, RawFrame},
     context::Context,
     control::{Control, LOOK_INTERVAL, check_ir_gain, ended},
@@ -51,7 +53,8 @@ pub fn attached() -> Result<Vec<String>, CameraError> {
 /// A Kinect I.
 ///
 /// After [`CameraError::Disconnected`] the camera looks for its device by serial number: `grab` may be called again, times out
-/// while the device is away and goes on when it is back. After any other error that is not recoverable the stream is over.
+/// while the device is away and goes on when it is back: soon after udev has announced it, where there is a monitor
+/// ([`Freenect1Camera::with_monitor`]), and at the next look otherwise ([`Settings::search_interval`]). After any other error that is not recoverable the stream is over.
 ///
 /// Dropping the camera stops and closes the device; if that does not return, the thread is left behind with it.
 #[derive(Debug)]
@@ -96,6 +99,8 @@ impl Freenect1Camera {
                 commands: obeyed,
                 outlet,
                 assembler: RefCell::new(Assembler::default()),
+                announcements: RefCell::new(Announcements::default()),
+                search_interval: settings.search_interval,
             };
             thread.run(&tell_opened);
         });
@@ -125,6 +130,13 @@ impl Freenect1Camera {
             thread_lives,
             over: None,
         })
+    }
+
+    /// The camera, which from now on looks for a device that has gone as soon as udev announces one.
+    pub fn with_monitor(self, monitor: UsbMonitor) -> Self {
+        // A thread that does not take it looks for the device by the clock.
+        let _ = self.control.commands.try_send(Command::Listen(monitor));
+        self
     }
 
     /// A handle for commands, which may be used while another thread grabs.

@@ -10,10 +10,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, TrySendError};
+use crossbeam::channel::{Receiver, Sender, TryRecvError, TrySendError};
 use depth_camera::CameraError;
+use udev_monitor::UsbMonitor;
 
 use crate::{
+    announcements::Announcements,
     assembly::{Assembler, Captured, Silence, Statistics},
     context::{Context, newest_warning},
     device::Device,
@@ -28,8 +30,8 @@ const PUMP_TIMEOUT: Duration = Duration::from_millis(10);
 /// A stream that brings nothing for so long will not: the slowest, IR at full size, has 10 frames a second.
 const SILENCE_LIMIT: Duration = Duration::from_secs(2);
 
-/// How often the thread looks for a device that has gone.
-const SEARCH_INTERVAL: Duration = Duration::from_millis(100);
+/// How long one wait for the word of a device that has gone lasts: commands must not wait much longer.
+const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
 
 /// What the device thread reports.
 #[derive(Debug)]
@@ -45,6 +47,8 @@ pub(crate) enum Command {
     Streams(Streams, Sender<Result<(), CameraError>>),
     /// Set the gain of IR; the answer is what the device then says it is.
     IrGain(u16, Sender<Result<u16, CameraError>>),
+    /// Listen to udev while the device is gone.
+    Listen(UsbMonitor),
     /// Close the device and end.
     Stop,
 }
@@ -116,6 +120,13 @@ enum End {
     Failed(CameraError),
 }
 
+/// What commands came to while the device was gone.
+#[derive(PartialEq, Eq)]
+enum Obeyed {
+    Go,
+    Stop,
+}
+
 /// The thread's state.
 #[derive(Debug)]
 pub(crate) struct DeviceThread {
@@ -127,6 +138,10 @@ pub(crate) struct DeviceThread {
     pub(crate) commands: Receiver<Command>,
     pub(crate) outlet: Outlet,
     pub(crate) assembler: RefCell<Assembler>,
+    /// What is said of devices that come.
+    pub(crate) announcements: RefCell<Announcements>,
+    /// How often a device that has gone is looked for though nothing is said.
+    pub(crate) search_interval: Duration,
 }
 
 impl DeviceThread {
@@ -151,9 +166,30 @@ impl DeviceThread {
 
     /// Looks for the device until it is open again, then streams.
     fn resume(&self) -> End {
+        let mut next_look = Instant::now();
         loop {
             self.shared.heartbeat.enter(Activity::Searching);
-            match self.commands.recv_timeout(SEARCH_INTERVAL) {
+            let is_announced = self.announcements.borrow_mut().wait(LISTEN_INTERVAL);
+            if self.obey_without_device() == Obeyed::Stop {
+                return End::Stopped;
+            }
+            if !is_announced && Instant::now() < next_look {
+                continue;
+            }
+            // It may be there before the system has set its permissions, or before its other parts: try again.
+            match self.session(&|_| ()) {
+                End::NotOpened(_) => next_look = Instant::now() + self.search_interval,
+                end => return end,
+            }
+        }
+    }
+
+    /// Keeps in mind what is asked for while the device is gone.
+    fn obey_without_device(&self) -> Obeyed {
+        loop {
+            match self.commands.try_recv() {
+                Err(TryRecvError::Empty) => return Obeyed::Go,
+                Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return Obeyed::Stop,
                 Ok(Command::Streams(streams, answer)) => {
                     self.streams.set(streams);
                     drop(answer.try_send(Err(CameraError::Disconnected)));
@@ -162,15 +198,13 @@ impl DeviceThread {
                     self.ir_gain.set(gain);
                     drop(answer.try_send(Err(CameraError::Disconnected)));
                 }
-                Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return End::Stopped,
-                Err(RecvTimeoutError::Timeout) => {}
-            }
-            // It may be there before the system has set its permissions: try again.
-            match self.session(&|_| ()) {
-                End::NotOpened(_) => {}
-                end => return end,
+                Ok(Command::Listen(monitor)) => self.listen_to(monitor),
             }
         }
+    }
+
+    fn listen_to(&self, monitor: UsbMonitor) {
+        self.announcements.borrow_mut().listen_to(monitor);
     }
 
     /// One time with an open device.
@@ -237,6 +271,10 @@ impl DeviceThread {
                         let obeyed = self.set_ir_gain(device, gain);
                         drop(answer.try_send(obeyed.clone()));
                         obeyed.map(drop)
+                    }
+                    Ok(Command::Listen(monitor)) => {
+                        self.listen_to(monitor);
+                        Ok(())
                     }
                 };
                 if let Err(error) = obeyed {

@@ -21,6 +21,8 @@ pub mod streams;
 pub mod supervision;
 
 #[cfg(feature = "kinect1")]
+mod announcements;
+#[cfg(feature = "kinect1")]
 mod callbacks;
 #[cfg(feature = "kinect1")]
 mod camera;

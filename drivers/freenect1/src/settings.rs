@@ -1,5 +1,7 @@
 //! What is decided before the device is opened.
 
+use std::time::Duration;
+
 use crate::{frames::NOMINAL_IR_OFFSET_PX, streams::Streams};
 
 /// What is decided before the device is opened.
@@ -14,6 +16,8 @@ pub struct Settings {
     pub ir_offset_px: [f64; 2],
     /// Where the lamp of the shading images is, IR camera's frame, metres; `None` if there is none.
     pub lamp_position_m: Option<[f64; 3]>,
+    /// How often a device that has gone is looked for, where nobody tells that it is back.
+    pub search_interval: Duration,
 }
 
 impl Default for Settings {
@@ -24,6 +28,7 @@ impl Default for Settings {
             ir_gain: 30,
             ir_offset_px: NOMINAL_IR_OFFSET_PX,
             lamp_position_m: None,
+            search_interval: Duration::from_secs(1),
         }
     }
 }
