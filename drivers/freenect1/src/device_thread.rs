@@ -3,25 +3,22 @@
 
 use std::{
     cell::{Cell, RefCell},
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
 
-use crossbeam::channel::{Receiver, Sender, TryRecvError, TrySendError};
+use crossbeam::channel::{Receiver, Sender, TryRecvError};
 use depth_camera::CameraError;
 use udev_monitor::UsbMonitor;
 
 use crate::{
     announcements::Announcements,
-    assembly::{Assembler, Captured, Silence, Statistics},
+    assembly::{Assembler, Captured, Silence},
     context::{Context, newest_warning},
     device::Device,
-    disparity::ZeroPlane,
+    exchange::{Command, Event, Identity, Outlet, Shared},
     streams::Streams,
-    supervision::{Activity, Heartbeat},
+    supervision::Activity,
 };
 
 /// How long one look for events waits: packets come every 2 ms, commands must not wait much longer.
@@ -32,86 +29,6 @@ const SILENCE_LIMIT: Duration = Duration::from_secs(2);
 
 /// How long one wait for the word of a device that has gone lasts: commands must not wait much longer.
 const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
-
-/// What the device thread reports.
-#[derive(Debug)]
-pub(crate) enum Event {
-    Captured(Captured),
-    Failed(CameraError),
-}
-
-/// What the device thread is told.
-#[derive(Debug)]
-pub(crate) enum Command {
-    /// Deliver these streams from now on.
-    Streams(Streams, Sender<Result<(), CameraError>>),
-    /// Set the gain of IR; the answer is what the device then says it is.
-    IrGain(u16, Sender<Result<u16, CameraError>>),
-    /// Listen to udev while the device is gone.
-    Listen(UsbMonitor),
-    /// Close the device and end.
-    Stop,
-}
-
-/// What others may look at meanwhile.
-#[derive(Debug)]
-pub(crate) struct Shared {
-    pub(crate) heartbeat: Heartbeat,
-    pub(crate) depth_runs: AtomicBool,
-    pub(crate) ir_gain: AtomicU64,
-    n_overrun: AtomicU64,
-    statistics: Mutex<Statistics>,
-}
-
-impl Shared {
-    pub(crate) fn new() -> Self {
-        Shared {
-            heartbeat: Heartbeat::new(Activity::Opening),
-            depth_runs: AtomicBool::new(false),
-            ir_gain: AtomicU64::new(0),
-            n_overrun: AtomicU64::new(0),
-            statistics: Mutex::default(),
-        }
-    }
-
-    pub(crate) fn statistics(&self) -> Statistics {
-        let held = self
-            .statistics
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        Statistics {
-            n_overrun: self.n_overrun.load(Ordering::Relaxed),
-            ..*held
-        }
-    }
-}
-
-/// The way out: newest wins, for the thread must never wait.
-#[derive(Debug)]
-pub(crate) struct Outlet {
-    pub(crate) events: Sender<Event>,
-    /// The other end, to make room.
-    pub(crate) oldest: Receiver<Event>,
-}
-
-impl Outlet {
-    fn offer(&self, event: Event, shared: &Shared) {
-        let mut event = event;
-        while let Err(TrySendError::Full(refused)) = self.events.try_send(event) {
-            if matches!(self.oldest.try_recv(), Ok(Event::Captured(_))) {
-                shared.n_overrun.fetch_add(1, Ordering::Relaxed);
-            }
-            event = refused;
-        }
-    }
-}
-
-/// What the device says of itself.
-#[derive(Clone, Debug)]
-pub(crate) struct Identity {
-    pub(crate) serial: String,
-    pub(crate) zero_plane: ZeroPlane,
-}
 
 /// How a time with an open device ended.
 enum End {
@@ -323,13 +240,7 @@ impl DeviceThread {
     }
 
     fn publish(&self) {
-        let statistics = self.assembler.borrow().statistics();
-        let mut held = self
-            .shared
-            .statistics
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        *held = statistics;
+        self.shared.publish(self.assembler.borrow().statistics());
     }
 }
 

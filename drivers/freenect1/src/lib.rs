@@ -34,6 +34,8 @@ mod control;
 mod device;
 #[cfg(feature = "kinect1")]
 mod device_thread;
+#[cfg(feature = "kinect1")]
+mod exchange;
 
 #[cfg(feature = "kinect1")]
 pub use camera::{Freenect1Camera, attached};
