@@ -22,7 +22,7 @@ use crate::{
     exchange::{Command, Event, Outlet, Shared},
     frames::{DeviceRecord, FrameDecoder},
     settings::Settings,
-    streams::Streams,
+    streams::{IrSize, Streams},
 };
 
 /// Frames that wait to be fetched; older ones make room for newer ones.
@@ -63,6 +63,7 @@ pub struct Freenect1Camera {
     info: CameraInfo,
     device: DeviceRecord,
     decoder: FrameDecoder,
+    paused_ir_size: IrSize,
     events: Receiver<Event>,
     control: Control,
     /// Nothing is ever sent; it closes when the thread ends.
@@ -126,6 +127,7 @@ impl Freenect1Camera {
             decoder: FrameDecoder::new(&device.zero_plane)?,
             info: device.camera_info(None),
             device,
+            paused_ir_size: settings.paused_ir_size,
             events,
             control,
             thread_lives,
@@ -200,15 +202,16 @@ impl DepthCamera for Freenect1Camera {
         &self.info
     }
 
-    /// Depth in metres and IR at 640×480, the IR image not yet moved by the offset that calibration knows; at
-    /// [`Streams::IrHigh`] the IR image is 1280×1024 and has the camera of no other image.
+    /// Depth in metres and IR at 640×480, the IR image not yet moved by the offset that calibration knows; one of 1280×1024
+    /// pixels is reduced to that size, so that all images have one camera.
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         let raw = self.grab_raw(timeout)?;
         Ok(Some(self.decode(raw)))
     }
 
     fn pause_depth(&mut self) -> Result<(), CameraError> {
-        self.control.set_streams(Streams::Ir)
+        self.control
+            .set_streams(Streams::ir_alone(self.paused_ir_size))
     }
 
     fn resume_depth(&mut self) -> Result<(), CameraError> {

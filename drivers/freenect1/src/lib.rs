@@ -16,6 +16,7 @@ mod frames;
 pub mod packets;
 pub mod pairing;
 mod recording;
+mod reduction;
 mod settings;
 pub mod streams;
 pub mod supervision;
