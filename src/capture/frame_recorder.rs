@@ -1,18 +1,17 @@
 //! Frames on their way to the disk, in either format.
 
 use super::{
-    CaptureParams,
+    CaptureParams, DeliveredFrame,
     infrared_rate::{InfraredGate, InfraredRate},
 };
 use crate::geometry::Pose;
-use depth_camera::{CameraInfo, Frame};
+use depth_camera::CameraInfo;
 use mcap_session::{Dropped, RecordingError, RecordingParams, SegmentWriter, free_bytes};
 use replay::{SessionWriter, WriteError, write_whole_file};
 use serde::{Deserialize, Serialize};
 use std::{
     io::Write,
     path::{Path, PathBuf},
-    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -140,13 +139,16 @@ impl FrameRecorder {
     }
 
     /// Records a frame; why the recording ended, if it did now.
-    pub(super) fn frame(&mut self, frame: &Arc<Frame>) -> Option<Stopped> {
+    pub(super) fn frame(&mut self, delivered: &DeliveredFrame) -> Option<Stopped> {
+        let (frame, ir) = (&delivered.frame, delivered.infrared());
         let written = match &mut self.writer {
             None => return None,
-            Some(FrameWriter::Folder(writer)) => writer.write(frame).map_err(RecordingError::from),
-            Some(FrameWriter::Mcap(writer)) => match self.gate.admits(frame) {
-                true => writer.write(frame),
-                false => writer.write_depth(frame),
+            Some(FrameWriter::Folder(writer)) => writer
+                .write_with_infrared(frame, ir)
+                .map_err(RecordingError::from),
+            Some(FrameWriter::Mcap(writer)) => match self.gate.admits(delivered) {
+                true => writer.write_with_infrared(frame, ir),
+                false => writer.write_with_infrared(frame, None),
             },
         };
         if written.is_ok() {

@@ -1,5 +1,6 @@
 //! Which infrared images are recorded: they are noise to a compressor, and most of what a recording takes on the disk.
 
+use super::DeliveredFrame;
 use depth_camera::Frame;
 use serde::{Deserialize, Serialize};
 use std::{collections::VecDeque, fmt, sync::Arc};
@@ -76,17 +77,21 @@ impl InfraredGate {
     }
 
     /// Whether the frame's infrared is to be recorded with it; what is not is held for a second.
-    pub(super) fn admits(&mut self, frame: &Arc<Frame>) -> bool {
+    pub(super) fn admits(&mut self, delivered: &DeliveredFrame) -> bool {
+        let frame = &delivered.frame;
         let is_due = match self.rate {
             InfraredRate::All => true,
             InfraredRate::Every(n) => frame.frame_id.is_multiple_of(u64::from(n)),
             InfraredRate::Snapshots => false,
         };
         let is_burst = self.burst_end.is_some_and(|end| frame.frame_id <= end);
-        if is_due || is_burst || frame.depth.is_none() || frame.ir.is_none() {
+        let Some(ir) = &delivered.ir else {
+            return true;
+        };
+        if is_due || is_burst || frame.depth.is_none() {
             return true;
         }
-        self.held.push_back(frame.clone());
+        self.held.push_back(ir.clone());
         let newest_secs = frame.device_time_secs;
         while self.held.len() > HELD
             || self
@@ -118,14 +123,14 @@ mod tests {
     use depth_camera::Image;
     use std::time::Instant;
 
-    fn frame(frame_id: u64) -> Arc<Frame> {
-        Arc::new(Frame {
+    fn frame(frame_id: u64) -> DeliveredFrame {
+        DeliveredFrame::unmoved(Arc::new(Frame {
             frame_id,
             device_time_secs: frame_id as f64 / 30.0,
             host_time: Instant::now(),
             depth: Some(Image::filled(1, 1, 1.0)),
             ir: Some(Image::filled(1, 1, 1)),
-        })
+        }))
     }
 
     /// The frames whose infrared is recorded at once, and later, when a shading image is taken at frame 50 and told of at 54.
@@ -163,9 +168,9 @@ mod tests {
         let mut gate = InfraredGate::new(InfraredRate::Snapshots);
         let alone = Frame {
             depth: None,
-            ..(*frame(1)).clone()
+            ..(*frame(1).frame).clone()
         };
-        assert!(gate.admits(&Arc::new(alone)));
+        assert!(gate.admits(&DeliveredFrame::unmoved(Arc::new(alone))));
         assert!(!gate.admits(&frame(2)));
     }
 

@@ -18,7 +18,7 @@ pub use frame_recorder::{RecordFormat, RecordingStanding};
 pub use infrared_rate::InfraredRate;
 pub use ir_offset::IrOffset;
 pub use recorder::{Recorder, RecorderSummary};
-pub use shared_frames::SharedFrames;
+pub use shared_frames::{DeliveredFrame, SharedFrames};
 
 use serde::{Deserialize, Serialize};
 use std::time::Duration;

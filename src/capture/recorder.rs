@@ -1,18 +1,17 @@
 //! The recorder: writes frames as a session, and events as lines of JSON, as they come.
 
 use super::{
-    CaptureParams, Event, EventKind, Tracked,
+    CaptureParams, DeliveredFrame, Event, EventKind, Tracked,
     frame_recorder::{FrameRecorder, RecordingStanding, Stopped},
 };
 use crate::geometry::Pose;
-use depth_camera::{CameraInfo, Frame};
+use depth_camera::CameraInfo;
 use mcap_session::RecordingError;
 use replay::WriteError;
 use std::{
     fs::{File, OpenOptions},
     io::Write,
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
 /// What the recorder wrote.
@@ -99,9 +98,10 @@ impl Recorder {
     }
 
     /// Records a frame.
-    pub fn frame(&mut self, frame: &Arc<Frame>) {
+    pub fn frame(&mut self, delivered: &DeliveredFrame) {
+        let frame = &delivered.frame;
         self.newest = Some((frame.frame_id, frame.device_time_secs));
-        self.with_recording(|frames| frames.frame(frame));
+        self.with_recording(|frames| frames.frame(delivered));
     }
 
     /// Records what tracking tells.

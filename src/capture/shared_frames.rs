@@ -1,5 +1,6 @@
 //! Frames on their way to several threads, without asking for memory once they flow.
 
+use super::IrOffset;
 use depth_camera::{Frame, Image, ImagePool};
 use std::sync::Arc;
 
@@ -11,7 +12,7 @@ const N_SLOTS: usize = 8;
 #[derive(Debug)]
 pub struct SharedFrames {
     slots: Vec<Arc<Frame>>,
-    depth: ImagePool<f32>,
+    /// Of copies.
     ir: ImagePool<u16>,
 }
 
@@ -19,7 +20,6 @@ impl Default for SharedFrames {
     fn default() -> Self {
         SharedFrames {
             slots: Vec::with_capacity(N_SLOTS),
-            depth: ImagePool::new(N_SLOTS),
             ir: ImagePool::new(N_SLOTS),
         }
     }
@@ -41,20 +41,53 @@ impl SharedFrames {
         shared
     }
 
-    /// A frame like that one, to be changed.
-    pub fn copy_of(&self, frame: &Frame) -> Frame {
-        Frame {
-            depth: frame.depth.as_ref().map(|image| copy(&self.depth, image)),
-            ir: frame.ir.as_ref().map(|image| copy(&self.ir, image)),
-            ..*frame
+    /// The frame with its IR on the depth image's grid, and its IR as it was delivered beside it.
+    ///
+    /// Depth is never copied; IR once, if it is moved.
+    pub fn share_without(&mut self, offset: IrOffset, frame: Frame) -> DeliveredFrame {
+        let as_delivered = match &frame.ir {
+            Some(ir) if !offset.is_zero() => Frame {
+                depth: None,
+                ir: Some(self.copy(ir)),
+                ..frame
+            },
+            _ => return DeliveredFrame::unmoved(self.share(frame)),
+        };
+        DeliveredFrame {
+            ir: Some(self.share(as_delivered)),
+            frame: self.share(offset.remove_from(frame)),
         }
+    }
+
+    fn copy(&self, ir: &Image<u16>) -> Image<u16> {
+        let mut data = self.ir.take(ir.data().len());
+        data.copy_from_slice(ir.data());
+        self.ir.image(ir.width(), ir.height(), data)
     }
 }
 
-fn copy<T: Copy + Default>(pool: &ImagePool<T>, image: &Image<T>) -> Image<T> {
-    let mut data = pool.take(image.data().len());
-    data.copy_from_slice(image.data());
-    pool.image(image.width(), image.height(), data)
+/// A frame as the recorder gets it, with the IR image that the camera delivered; others hold its images too.
+#[derive(Clone, Debug)]
+pub struct DeliveredFrame {
+    /// Its number, times and depth; its IR may have been moved.
+    pub frame: Arc<Frame>,
+    /// A frame of the same number and times that holds IR as it was delivered; `None` if there is none, or it is left out.
+    pub ir: Option<Arc<Frame>>,
+}
+
+impl DeliveredFrame {
+    /// A frame whose IR was not moved.
+    pub fn unmoved(frame: Arc<Frame>) -> Self {
+        DeliveredFrame {
+            ir: frame.ir.is_some().then(|| frame.clone()),
+            frame,
+        }
+    }
+
+    /// IR as it was delivered.
+    pub fn infrared(&self) -> Option<&Image<u16>> {
+        self.ir.as_ref()?.ir.as_ref()
+    }
 }
 
 #[cfg(test)]
@@ -90,13 +123,26 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_is_the_same_in_memory_of_its_own() {
-        let frames = SharedFrames::default();
-        let original = frame(7);
-        let mut copy = frames.copy_of(&original);
-        assert_eq!(copy.depth, original.depth);
-        assert_eq!(copy.frame_id, 7);
-        copy.depth.as_mut().unwrap().data_mut()[0] = 0.0;
-        assert_ne!(copy.depth, original.depth);
+    fn infrared_that_is_moved_is_copied_and_nothing_else_is() {
+        let whole = || Frame {
+            ir: Some(Image::from_vec(2, 2, vec![1, 2, 3, 4])),
+            ..frame(7)
+        };
+        let mut frames = SharedFrames::default();
+        let sent = whole();
+        let depth = sent.depth.as_ref().unwrap().data().as_ptr();
+        let delivered = frames.share_without(IrOffset::nearest([1.0, 1.0]), sent);
+        let shared = delivered.frame.depth.as_ref().unwrap();
+        assert_eq!(shared.data().as_ptr(), depth);
+        assert_eq!(delivered.frame.ir.as_ref().unwrap().data(), [4, 0, 0, 0]);
+        assert_eq!(delivered.infrared().unwrap().data(), [1, 2, 3, 4]);
+        let ir = delivered.ir.unwrap();
+        assert_eq!((ir.frame_id, ir.depth.is_none()), (7, true));
+
+        let delivered = frames.share_without(IrOffset::nearest([0.0, 0.0]), whole());
+        let ir = delivered.ir.unwrap();
+        assert!(Arc::ptr_eq(&ir, &delivered.frame));
+        let delivered = frames.share_without(IrOffset::nearest([1.0, 1.0]), frame(8));
+        assert!(delivered.ir.is_none() && delivered.frame.depth.is_some());
     }
 }

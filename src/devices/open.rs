@@ -164,7 +164,14 @@ fn connect_to(
         #[cfg(feature = "kinect1")]
         Sensor::Kinect1 => {
             let camera = freenect1::Freenect1Camera::open(Some(serial), params.kinect1.settings());
-            Some(camera.map(|camera| LiveCamera::Kinect1(Box::new(camera))))
+            Some(camera.map(|camera| {
+                // Without udev, a look at the bus now and then tells that the device is back.
+                let camera = match udev_monitor::UsbMonitor::open() {
+                    Ok(monitor) => camera.with_monitor(monitor),
+                    Err(_) => camera,
+                };
+                LiveCamera::Kinect1(Box::new(camera))
+            }))
         }
         #[cfg(feature = "kinect2")]
         Sensor::Kinect2 => {

@@ -1,6 +1,6 @@
 //! What can be set about live devices.
 
-use freenect1::Settings;
+use freenect1::{Settings, streams::IrSize};
 use freenect2::{BilateralOptions, DecoderOptions, EdgeAwareOptions};
 use serde::{Deserialize, Serialize};
 
@@ -24,6 +24,9 @@ pub struct Kinect1Params {
     /// before. Without either there are no shading images.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lamp_position_m: Option<[f64; 3]>,
+    /// The size at which the device takes IR while depth is stopped for a shading image; the image is of 640×480 pixels all the
+    /// same.
+    pub stop_depth_ir_size: IrSize,
     /// How far right of and below its place in the depth image a point lies in the IR image, pixels; it moves the
     /// principal point. Not a key of the configuration: the device's calibration has it.
     #[serde(skip)]
@@ -36,6 +39,7 @@ impl Default for Kinect1Params {
         Kinect1Params {
             ir_gain: settings.ir_gain,
             lamp_position_m: settings.lamp_position_m,
+            stop_depth_ir_size: settings.paused_ir_size,
             ir_offset_px: None,
         }
     }
@@ -102,6 +106,7 @@ impl Kinect1Params {
         Settings {
             ir_gain: self.ir_gain,
             lamp_position_m: self.lamp_position_m,
+            paused_ir_size: self.stop_depth_ir_size,
             ir_offset_px: self.ir_offset_px.unwrap_or(default.ir_offset_px),
             ..default
         }

@@ -41,11 +41,10 @@ pub fn run(
         if !record {
             return frames.send(shared.share(ir_offset.remove_from(frame)));
         }
-        // Recorded as the camera delivers it: what fusion gets is the same frame, or a copy with its IR moved.
-        let moved = (!ir_offset.is_zero()).then(|| ir_offset.remove_from(shared.copy_of(&frame)));
-        let recorded = shared.share(frame);
-        recording.send(recorded.clone());
-        frames.send(moved.map_or(recorded, |moved| shared.share(moved)))
+        // Recorded as the camera delivers it; fusion gets the same frame with its IR moved.
+        let delivered = shared.share_without(ir_offset, frame);
+        recording.send(delivered.clone());
+        frames.send(delivered.frame)
     };
     run_device(
         setup.camera.as_mut(),
@@ -82,15 +81,17 @@ pub fn run(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::DeliveredFrame;
     use crate::pipeline::{
         edges::{self, DropCounts, FrameReceiver, WhenFull},
         event_log::EventLog,
     };
     use counting_allocator::{CountingAllocator, n_of_thread};
     use crossbeam::channel::Receiver;
-    use depth_camera::{CameraError, CameraInfo, ImagePool};
+    use depth_camera::{CameraError, CameraInfo, Image, ImagePool};
     use simulated::SimulatedCamera;
     use std::{
+        collections::VecDeque,
         sync::{Arc, Mutex},
         time::{Duration, Instant},
     };
@@ -109,26 +110,43 @@ mod tests {
         depth: ImagePool<f32>,
         ir: ImagePool<u16>,
         fusion: FrameReceiver,
-        recorder: Receiver<Arc<Frame>>,
+        recorder: Receiver<DeliveredFrame>,
+        is_moved: bool,
+        /// Where the images are that were delivered and not taken out yet: depth and IR.
+        delivered: VecDeque<[usize; 2]>,
         /// The thread's requests for memory so far, at each frame.
         n_allocations: Arc<Mutex<Vec<u64>>>,
     }
 
     impl Pooled {
-        fn take_frames_out(&self) {
+        /// Looks at what arrives, and that no image was copied but IR, once, where recorder and fusion need different ones.
+        fn take_frames_out(&mut self) {
             if self.fusion.channel().len() < 3 {
                 return;
             }
             let fused = self.fusion.channel().try_recv().unwrap();
-            let corners = |frame: &Frame| {
-                let ir = frame.ir.as_ref().unwrap();
-                [*ir.at(0, 0), *ir.at(WIDTH - 1, HEIGHT - 1)]
-            };
+            let corners = |ir: &Image<u16>| [*ir.at(0, 0), *ir.at(WIDTH - 1, HEIGHT - 1)];
             let shown = fused.frame_id as u16;
-            assert_eq!(corners(&fused), [shown, 0], "moved up and to the left");
+            let ir = fused.ir.as_ref().unwrap();
+            let expected = if self.is_moved { 0 } else { shown };
+            assert_eq!(corners(ir), [shown, expected], "moved up and to the left");
+            let places = |frame: &Frame, ir: &Image<u16>| {
+                let depth = frame.depth.as_ref().unwrap();
+                [depth.data().as_ptr().addr(), ir.data().as_ptr().addr()]
+            };
+            let delivered = self.delivered.pop_front().unwrap();
+            assert_eq!(
+                places(&fused, ir),
+                delivered,
+                "not copied on the way to fusion"
+            );
             if let Ok(recorded) = self.recorder.try_recv() {
-                assert_eq!(recorded.frame_id, fused.frame_id);
-                assert_eq!(corners(&recorded), [shown, shown], "as it was delivered");
+                assert_eq!(recorded.frame.frame_id, fused.frame_id);
+                let ir = recorded.infrared().unwrap();
+                assert_eq!(corners(ir), [shown, shown], "as it was delivered");
+                let [depth_place, ir_place] = places(&recorded.frame, ir);
+                assert_eq!(depth_place, delivered[0], "one depth image for both");
+                assert_eq!(ir_place != delivered[1], self.is_moved);
             }
         }
     }
@@ -149,6 +167,8 @@ mod tests {
             let mut ir = self.ir.take(WIDTH * HEIGHT);
             ir.fill(frame_id as u16);
             let depth = self.depth.take(WIDTH * HEIGHT);
+            self.delivered
+                .push_back([depth.as_ptr().addr(), ir.as_ptr().addr()]);
             Ok(Some(Frame {
                 frame_id,
                 device_time_secs: frame_id as f64,
@@ -160,7 +180,7 @@ mod tests {
     }
 
     /// Requests for memory in the first and in the second half of the frames.
-    fn n_allocations(record: bool) -> (u64, u64) {
+    fn n_allocations(record: bool, ir_offset: IrOffset) -> (u64, u64) {
         let status = StatusSlot::default();
         let (frames, fusion) = edges::frames(WhenFull::Block, &status);
         let (recording, recorder) =
@@ -174,11 +194,13 @@ mod tests {
                 ir: ImagePool::new(16),
                 fusion,
                 recorder,
+                is_moved: !ir_offset.is_zero(),
+                delivered: VecDeque::with_capacity(N_FRAMES),
                 n_allocations: n_allocations.clone(),
             }),
             capture: CaptureParams::default(),
             record,
-            ir_offset: IrOffset::nearest([5.0, 4.0]),
+            ir_offset,
             end: StopToken::default(),
             status,
         };
@@ -189,11 +211,11 @@ mod tests {
     }
 
     #[test]
-    fn frames_go_on_without_asking_for_memory_once_they_flow() {
-        for record in [false, true] {
-            let (warming_up, steady) = n_allocations(record);
+    fn frames_go_on_without_copies_or_asking_for_memory_once_they_flow() {
+        for (record, offset_px) in [(false, [5.0, 4.0]), (true, [5.0, 4.0]), (true, [0.0; 2])] {
+            let (warming_up, steady) = n_allocations(record, IrOffset::nearest(offset_px));
             assert!(warming_up > 0, "the counter counts");
-            assert_eq!(steady, 0, "recording: {record}");
+            assert_eq!(steady, 0, "recording: {record}, offset {offset_px:?}");
         }
     }
 }

@@ -13,7 +13,7 @@ use super::{
     accounts::Place, command::Command, event_log::EventLog, fusion_stage::FusedScan,
     live::surface::SurfaceUpdate, status::StatusSlot,
 };
-use crate::capture::Tracked;
+use crate::capture::{DeliveredFrame, Tracked};
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
 use depth_camera::Frame;
 use std::sync::{
@@ -158,7 +158,7 @@ fn dropped(status: &StatusSlot) {
 
 /// Device → recorder, sending end.
 pub struct RecordingSender {
-    channel: Sender<Arc<Frame>>,
+    channel: Sender<DeliveredFrame>,
     when_full: WhenFull,
     counts: Arc<DropCounts>,
 }
@@ -167,7 +167,7 @@ pub struct RecordingSender {
 pub fn recording(
     when_full: WhenFull,
     counts: &Arc<DropCounts>,
-) -> (RecordingSender, Receiver<Arc<Frame>>) {
+) -> (RecordingSender, Receiver<DeliveredFrame>) {
     let (sender, receiver) = bounded(RECORDING);
     let sender = RecordingSender {
         channel: sender,
@@ -179,7 +179,7 @@ pub fn recording(
 
 impl RecordingSender {
     /// Sends a frame; one that finds no room is counted, one that finds no recorder is not.
-    pub fn send(&self, frame: Arc<Frame>) {
+    pub fn send(&self, frame: DeliveredFrame) {
         if self.when_full == WhenFull::Block {
             // A recorder that is gone has told why.
             let _ = self.channel.send(frame);
@@ -195,16 +195,12 @@ impl RecordingSender {
     }
 
     /// The frame's depth alone, if it has both.
-    fn without_ir(&self, frame: Arc<Frame>) -> Arc<Frame> {
-        if frame.ir.is_none() || frame.depth.is_none() {
+    fn without_ir(&self, frame: DeliveredFrame) -> DeliveredFrame {
+        if frame.ir.is_none() || frame.frame.depth.is_none() {
             return frame;
         }
         self.counts.recorded_ir.fetch_add(1, Ordering::Relaxed);
-        Arc::new(Frame {
-            ir: None,
-            depth: frame.depth.clone(),
-            ..*frame
-        })
+        DeliveredFrame { ir: None, ..frame }
     }
 }
 
@@ -303,12 +299,13 @@ mod tests {
         let counts = Arc::new(DropCounts::default());
         let (sender, receiver) = recording(WhenFull::Drop, &counts);
         for frame_id in 0..70 {
-            sender.send(frame(frame_id));
+            sender.send(DeliveredFrame::unmoved(frame(frame_id)));
         }
         let recorded: Vec<_> = receiver.try_iter().collect();
         assert_eq!(recorded.len(), RECORDING);
-        assert!(recorded.iter().all(|frame| frame.depth.is_some()));
-        let n_ir = recorded.iter().filter(|frame| frame.ir.is_some()).count();
+        assert!(recorded.iter().all(|frame| frame.frame.depth.is_some()));
+        let n_ir = recorded.iter().filter(|frame| frame.infrared().is_some());
+        let n_ir = n_ir.count();
         assert_eq!(n_ir, RECORDING_WITHOUT_IR);
         assert_eq!(counts.recorded_frames.load(Ordering::Relaxed), 6);
     }

@@ -6,12 +6,11 @@ use super::{
     event_log::EventLog,
     status::{RecordingStatus, StatusSlot},
 };
-use crate::capture::{Recorder, RecorderSummary, Tracked};
+use crate::capture::{DeliveredFrame, Recorder, RecorderSummary, Tracked};
 use crossbeam::{
     channel::{Receiver, never},
     select,
 };
-use depth_camera::Frame;
 use std::{
     sync::{Arc, atomic::Ordering},
     time::Duration,
@@ -62,7 +61,7 @@ impl Telling {
 /// Records until both senders are gone, then writes the trajectory.
 pub fn run(
     mut recorder: Recorder,
-    frames: Receiver<Arc<Frame>>,
+    frames: Receiver<DeliveredFrame>,
     tracked: Receiver<Tracked>,
     outbox: &Outbox,
     telling: &Telling,

@@ -21,11 +21,11 @@ use std::{
 /// Exposures of a shading image, within the bounds of the selection's own parameters: they halve the noise.
 const N_EXPOSURES: usize = 4;
 
-/// Frames that may show speckle after depth has stopped: a second, in which any projector would have gone dark. Arbitrary.
-const MAX_SPECKLED: usize = 30;
+/// How long speckle may show after depth has stopped, seconds: any projector would have gone dark. Arbitrary.
+const MAX_SPECKLED_SECS: f64 = 1.0;
 
-/// Frames that may be dark before the operator has lit the lamp: ten seconds. Arbitrary.
-const MAX_DARK: usize = 300;
+/// How long it may be dark before the operator has lit the lamp, seconds. Arbitrary.
+const MAX_DARK_SECS: f64 = 10.0;
 
 /// Frames with depth that may still come after it was stopped: what was under way. Arbitrary.
 const MAX_WITH_DEPTH: usize = 30;
@@ -211,8 +211,10 @@ impl DepthCamera for StopDepthCamera {
 #[derive(Debug, Default)]
 struct Pause {
     n_with_depth: usize,
-    n_speckled: usize,
-    n_dark: usize,
+    /// When the last frame without depth was taken, device time.
+    last_secs: Option<f64>,
+    speckled_secs: f64,
+    dark_secs: f64,
     n_exposures: usize,
 }
 
@@ -230,25 +232,29 @@ impl Pause {
             return (self.n_with_depth > MAX_WITH_DEPTH)
                 .then_some(ShadingOutcome::Refused(ShadingRefusal::Camera(error)));
         };
-        self.judge(ir, full_scale);
+        let last_secs = self.last_secs.replace(frame.device_time_secs);
+        let passed_secs = last_secs.map_or(0.0, |last_secs| frame.device_time_secs - last_secs);
+        self.judge(ir, full_scale, passed_secs);
         let energy = || texture(ir, full_scale).speckle_energy;
         if self.n_exposures >= n_wanted {
             let n_exposures = self.n_exposures;
             Some(ShadingOutcome::Taken { n_exposures })
-        } else if self.n_speckled > MAX_SPECKLED {
+        } else if self.speckled_secs >= MAX_SPECKLED_SECS {
             let energy = energy();
             Some(ShadingOutcome::Refused(ShadingRefusal::Speckle { energy }))
         } else {
-            (self.n_dark > MAX_DARK).then_some(ShadingOutcome::Refused(ShadingRefusal::Dark))
+            (self.dark_secs >= MAX_DARK_SECS)
+                .then_some(ShadingOutcome::Refused(ShadingRefusal::Dark))
         }
     }
 
-    fn judge(&mut self, ir: &Image<u16>, full_scale: f64) {
+    /// What an image shows that came so long after the last one.
+    fn judge(&mut self, ir: &Image<u16>, full_scale: f64, passed_secs: f64) {
         let texture = texture(ir, full_scale);
         if texture.is_speckled() {
-            self.n_speckled += 1;
+            self.speckled_secs += passed_secs;
         } else if texture.is_dark() {
-            self.n_dark += 1;
+            self.dark_secs += passed_secs;
         } else {
             self.n_exposures += 1;
         }

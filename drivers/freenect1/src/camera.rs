@@ -10,16 +10,19 @@ use std::{
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, bounded};
 use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame};
+use udev_monitor::UsbMonitor;
 
 use crate::{
+    announcements::Announcements,
     assembly::{Assembler, Captured, RawFrame},
     context::Context,
     control::{Control, LOOK_INTERVAL, check_ir_gain, ended},
-    device_thread::{Command, DeviceThread, Event, Outlet, Shared},
+    device_thread::DeviceThread,
     disparity::ZeroPlane,
+    exchange::{Command, Event, Outlet, Shared},
     frames::{DeviceRecord, FrameDecoder},
     settings::Settings,
-    streams::Streams,
+    streams::{IrSize, Streams},
 };
 
 /// Frames that wait to be fetched; older ones make room for newer ones.
@@ -51,7 +54,8 @@ pub fn attached() -> Result<Vec<String>, CameraError> {
 /// A Kinect I.
 ///
 /// After [`CameraError::Disconnected`] the camera looks for its device by serial number: `grab` may be called again, times out
-/// while the device is away and goes on when it is back. After any other error that is not recoverable the stream is over.
+/// while the device is away and goes on when it is back: soon after udev has announced it, where there is a monitor
+/// ([`Freenect1Camera::with_monitor`]), and at the next look otherwise ([`Settings::search_interval`]). After any other error that is not recoverable the stream is over.
 ///
 /// Dropping the camera stops and closes the device; if that does not return, the thread is left behind with it.
 #[derive(Debug)]
@@ -59,6 +63,7 @@ pub struct Freenect1Camera {
     info: CameraInfo,
     device: DeviceRecord,
     decoder: FrameDecoder,
+    paused_ir_size: IrSize,
     events: Receiver<Event>,
     control: Control,
     /// Nothing is ever sent; it closes when the thread ends.
@@ -96,6 +101,8 @@ impl Freenect1Camera {
                 commands: obeyed,
                 outlet,
                 assembler: RefCell::new(Assembler::default()),
+                announcements: RefCell::new(Announcements::default()),
+                search_interval: settings.search_interval,
             };
             thread.run(&tell_opened);
         });
@@ -120,11 +127,19 @@ impl Freenect1Camera {
             decoder: FrameDecoder::new(&device.zero_plane)?,
             info: device.camera_info(None),
             device,
+            paused_ir_size: settings.paused_ir_size,
             events,
             control,
             thread_lives,
             over: None,
         })
+    }
+
+    /// The camera, which from now on looks for a device that has gone as soon as udev announces one.
+    pub fn with_monitor(self, monitor: UsbMonitor) -> Self {
+        // A thread that does not take it looks for the device by the clock.
+        let _ = self.control.commands.try_send(Command::Listen(monitor));
+        self
     }
 
     /// A handle for commands, which may be used while another thread grabs.
@@ -187,15 +202,16 @@ impl DepthCamera for Freenect1Camera {
         &self.info
     }
 
-    /// Depth in metres and IR at 640×480, the IR image not yet moved by the offset that calibration knows; at
-    /// [`Streams::IrHigh`] the IR image is 1280×1024 and has the camera of no other image.
+    /// Depth in metres and IR at 640×480, the IR image not yet moved by the offset that calibration knows; one of 1280×1024
+    /// pixels is reduced to that size, so that all images have one camera.
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         let raw = self.grab_raw(timeout)?;
         Ok(Some(self.decode(raw)))
     }
 
     fn pause_depth(&mut self) -> Result<(), CameraError> {
-        self.control.set_streams(Streams::Ir)
+        self.control
+            .set_streams(Streams::ir_alone(self.paused_ir_size))
     }
 
     fn resume_depth(&mut self) -> Result<(), CameraError> {

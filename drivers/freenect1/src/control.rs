@@ -10,7 +10,7 @@ use depth_camera::CameraError;
 
 use crate::{
     assembly::Statistics,
-    device_thread::{Command, Shared},
+    exchange::{Command, Shared},
     streams::{ProjectorState, Streams},
 };
 

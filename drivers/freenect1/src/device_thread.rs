@@ -3,23 +3,22 @@
 
 use std::{
     cell::{Cell, RefCell},
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
+    sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, TrySendError};
+use crossbeam::channel::{Receiver, Sender, TryRecvError};
 use depth_camera::CameraError;
+use udev_monitor::UsbMonitor;
 
 use crate::{
-    assembly::{Assembler, Captured, Silence, Statistics},
+    announcements::Announcements,
+    assembly::{Assembler, Captured, Silence},
     context::{Context, newest_warning},
     device::Device,
-    disparity::ZeroPlane,
+    exchange::{Command, Event, Identity, Outlet, Shared},
     streams::Streams,
-    supervision::{Activity, Heartbeat},
+    supervision::Activity,
 };
 
 /// How long one look for events waits: packets come every 2 ms, commands must not wait much longer.
@@ -28,92 +27,21 @@ const PUMP_TIMEOUT: Duration = Duration::from_millis(10);
 /// A stream that brings nothing for so long will not: the slowest, IR at full size, has 10 frames a second.
 const SILENCE_LIMIT: Duration = Duration::from_secs(2);
 
-/// How often the thread looks for a device that has gone.
-const SEARCH_INTERVAL: Duration = Duration::from_millis(100);
-
-/// What the device thread reports.
-#[derive(Debug)]
-pub(crate) enum Event {
-    Captured(Captured),
-    Failed(CameraError),
-}
-
-/// What the device thread is told.
-#[derive(Debug)]
-pub(crate) enum Command {
-    /// Deliver these streams from now on.
-    Streams(Streams, Sender<Result<(), CameraError>>),
-    /// Set the gain of IR; the answer is what the device then says it is.
-    IrGain(u16, Sender<Result<u16, CameraError>>),
-    /// Close the device and end.
-    Stop,
-}
-
-/// What others may look at meanwhile.
-#[derive(Debug)]
-pub(crate) struct Shared {
-    pub(crate) heartbeat: Heartbeat,
-    pub(crate) depth_runs: AtomicBool,
-    pub(crate) ir_gain: AtomicU64,
-    n_overrun: AtomicU64,
-    statistics: Mutex<Statistics>,
-}
-
-impl Shared {
-    pub(crate) fn new() -> Self {
-        Shared {
-            heartbeat: Heartbeat::new(Activity::Opening),
-            depth_runs: AtomicBool::new(false),
-            ir_gain: AtomicU64::new(0),
-            n_overrun: AtomicU64::new(0),
-            statistics: Mutex::default(),
-        }
-    }
-
-    pub(crate) fn statistics(&self) -> Statistics {
-        let held = self
-            .statistics
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        Statistics {
-            n_overrun: self.n_overrun.load(Ordering::Relaxed),
-            ..*held
-        }
-    }
-}
-
-/// The way out: newest wins, for the thread must never wait.
-#[derive(Debug)]
-pub(crate) struct Outlet {
-    pub(crate) events: Sender<Event>,
-    /// The other end, to make room.
-    pub(crate) oldest: Receiver<Event>,
-}
-
-impl Outlet {
-    fn offer(&self, event: Event, shared: &Shared) {
-        let mut event = event;
-        while let Err(TrySendError::Full(refused)) = self.events.try_send(event) {
-            if matches!(self.oldest.try_recv(), Ok(Event::Captured(_))) {
-                shared.n_overrun.fetch_add(1, Ordering::Relaxed);
-            }
-            event = refused;
-        }
-    }
-}
-
-/// What the device says of itself.
-#[derive(Clone, Debug)]
-pub(crate) struct Identity {
-    pub(crate) serial: String,
-    pub(crate) zero_plane: ZeroPlane,
-}
+/// How long one wait for the word of a device that has gone lasts: commands must not wait much longer.
+const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
 
 /// How a time with an open device ended.
 enum End {
     Stopped,
     NotOpened(CameraError),
     Failed(CameraError),
+}
+
+/// What commands came to while the device was gone.
+#[derive(PartialEq, Eq)]
+enum Obeyed {
+    Go,
+    Stop,
 }
 
 /// The thread's state.
@@ -127,6 +55,10 @@ pub(crate) struct DeviceThread {
     pub(crate) commands: Receiver<Command>,
     pub(crate) outlet: Outlet,
     pub(crate) assembler: RefCell<Assembler>,
+    /// What is said of devices that come.
+    pub(crate) announcements: RefCell<Announcements>,
+    /// How often a device that has gone is looked for though nothing is said.
+    pub(crate) search_interval: Duration,
 }
 
 impl DeviceThread {
@@ -151,9 +83,30 @@ impl DeviceThread {
 
     /// Looks for the device until it is open again, then streams.
     fn resume(&self) -> End {
+        let mut next_look = Instant::now();
         loop {
             self.shared.heartbeat.enter(Activity::Searching);
-            match self.commands.recv_timeout(SEARCH_INTERVAL) {
+            let is_announced = self.announcements.borrow_mut().wait(LISTEN_INTERVAL);
+            if self.obey_without_device() == Obeyed::Stop {
+                return End::Stopped;
+            }
+            if !is_announced && Instant::now() < next_look {
+                continue;
+            }
+            // It may be there before the system has set its permissions, or before its other parts: try again.
+            match self.session(&|_| ()) {
+                End::NotOpened(_) => next_look = Instant::now() + self.search_interval,
+                end => return end,
+            }
+        }
+    }
+
+    /// Keeps in mind what is asked for while the device is gone.
+    fn obey_without_device(&self) -> Obeyed {
+        loop {
+            match self.commands.try_recv() {
+                Err(TryRecvError::Empty) => return Obeyed::Go,
+                Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return Obeyed::Stop,
                 Ok(Command::Streams(streams, answer)) => {
                     self.streams.set(streams);
                     drop(answer.try_send(Err(CameraError::Disconnected)));
@@ -162,15 +115,13 @@ impl DeviceThread {
                     self.ir_gain.set(gain);
                     drop(answer.try_send(Err(CameraError::Disconnected)));
                 }
-                Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return End::Stopped,
-                Err(RecvTimeoutError::Timeout) => {}
-            }
-            // It may be there before the system has set its permissions: try again.
-            match self.session(&|_| ()) {
-                End::NotOpened(_) => {}
-                end => return end,
+                Ok(Command::Listen(monitor)) => self.listen_to(monitor),
             }
         }
+    }
+
+    fn listen_to(&self, monitor: UsbMonitor) {
+        self.announcements.borrow_mut().listen_to(monitor);
     }
 
     /// One time with an open device.
@@ -238,6 +189,10 @@ impl DeviceThread {
                         drop(answer.try_send(obeyed.clone()));
                         obeyed.map(drop)
                     }
+                    Ok(Command::Listen(monitor)) => {
+                        self.listen_to(monitor);
+                        Ok(())
+                    }
                 };
                 if let Err(error) = obeyed {
                     return End::Failed(error);
@@ -285,13 +240,7 @@ impl DeviceThread {
     }
 
     fn publish(&self) {
-        let statistics = self.assembler.borrow().statistics();
-        let mut held = self
-            .shared
-            .statistics
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        *held = statistics;
+        self.shared.publish(self.assembler.borrow().statistics());
     }
 }
 

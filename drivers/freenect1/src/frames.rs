@@ -1,12 +1,13 @@
 //! From disparity to the frames of a depth camera, the same for a live device and for a recording of one.
 
 use depth_camera::{
-    CameraError, CameraInfo, Frame, ImagePool, Intrinsics, Light, LightKind, Sensor,
+    CameraError, CameraInfo, Frame, Image, ImagePool, Intrinsics, Light, LightKind, Sensor,
 };
 
 use crate::{
     assembly::RawFrame,
     disparity::{DisparityTable, ZeroPlane},
+    reduction::reduce,
     streams::{DEPTH_SIZE, IrSize},
 };
 
@@ -18,9 +19,9 @@ pub const NOMINAL_IR_OFFSET_PX: [f64; 2] = [5.0, 4.0];
 const NOMINAL_IR_CENTRE_PX: [f64; 2] = [319.5, 239.5];
 
 /// IR counts at full scale: 10 bits.
-const IR_FULL_SCALE: f64 = 1023.0;
+pub(crate) const IR_FULL_SCALE: u16 = 1023;
 
-/// Depth images on their way through the pipeline whose buffers are used again.
+/// Images on their way through the pipeline whose buffers are used again.
 const POOL_CAPACITY: usize = 16;
 
 /// What has to be known of a device to make frames of what it sends.
@@ -60,7 +61,7 @@ impl DeviceRecord {
                 p2: 0.0,
                 k3: 0.0,
             },
-            ir_full_scale: Some(IR_FULL_SCALE),
+            ir_full_scale: Some(IR_FULL_SCALE.into()),
             ir_gain: Some(self.ir_gain),
             light: self.lamp_position_m.map(|position_m| Light {
                 position_m,
@@ -71,11 +72,13 @@ impl DeviceRecord {
     }
 }
 
-/// Turns disparity into metres.
+/// Turns disparity into metres, and puts IR of either size onto the depth image's grid.
 #[derive(Debug)]
 pub(crate) struct FrameDecoder {
     table: DisparityTable,
     metres: ImagePool<f32>,
+    /// Of IR images that are reduced.
+    counts: ImagePool<u16>,
 }
 
 impl FrameDecoder {
@@ -85,10 +88,11 @@ impl FrameDecoder {
         Ok(FrameDecoder {
             table: DisparityTable::new(zero_plane)?,
             metres: ImagePool::new(POOL_CAPACITY),
+            counts: ImagePool::new(POOL_CAPACITY),
         })
     }
 
-    /// Depth in metres and IR at 640×480; an IR image of 1280×1024 stays as it is.
+    /// Depth in metres and IR, both at 640×480.
     pub(crate) fn frame(&self, raw: RawFrame) -> Frame {
         let depth = raw.disparity.map(|disparity| {
             let (width, height) = (disparity.width(), disparity.height());
@@ -96,20 +100,23 @@ impl FrameDecoder {
             self.table.convert(&disparity, &mut metres);
             self.metres.image(width, height, metres)
         });
-        // Row 0 is the depth image's; what is more lies at the bottom.
-        let (_, depth_rows) = DEPTH_SIZE;
-        let ir = raw
-            .ir
-            .map(|ir| match ir.width() == IrSize::Medium.pixels().0 {
-                true => ir.top_rows(depth_rows),
-                false => ir,
-            });
         Frame {
             frame_id: raw.frame_id,
             device_time_secs: raw.device_time_secs,
             host_time: raw.host_time,
             depth,
-            ir,
+            ir: raw.ir.map(|ir| self.on_depth_grid(ir)),
         }
+    }
+
+    fn on_depth_grid(&self, ir: Image<u16>) -> Image<u16> {
+        let (width, height) = DEPTH_SIZE;
+        if ir.width() == IrSize::Medium.pixels().0 {
+            // Row 0 is the depth image's; what is more lies at the bottom.
+            return ir.top_rows(height);
+        }
+        let mut counts = self.counts.take(width * height);
+        reduce(&ir, &mut counts);
+        self.counts.image(width, height, counts)
     }
 }

@@ -16,10 +16,13 @@ mod frames;
 pub mod packets;
 pub mod pairing;
 mod recording;
+mod reduction;
 mod settings;
 pub mod streams;
 pub mod supervision;
 
+#[cfg(feature = "kinect1")]
+mod announcements;
 #[cfg(feature = "kinect1")]
 mod callbacks;
 #[cfg(feature = "kinect1")]
@@ -32,6 +35,8 @@ mod control;
 mod device;
 #[cfg(feature = "kinect1")]
 mod device_thread;
+#[cfg(feature = "kinect1")]
+mod exchange;
 
 #[cfg(feature = "kinect1")]
 pub use camera::{Freenect1Camera, attached};

@@ -2,7 +2,7 @@
 //!
 //! A recording is one folder. `kinect1.toml` holds serial, zero plane, gain and lamp; `disparity.txt` and `ir.txt` list the images as
 //! `timestamp filename`, one a line, as sessions list theirs; images are 16-bit greyscale PNG: disparity 640×480 with values 0 to
-//! 2047, 2047 for none, IR 640×488 with values 0 to 1023.
+//! 2047, 2047 for none, IR 640×488 or 1280×1024 with values 0 to 1023.
 
 use std::{
     fs,
@@ -27,6 +27,10 @@ pub const RAW_DEVICE_FILE: &str = "kinect1.toml";
 
 const DISPARITY_LIST: &str = "disparity.txt";
 const IR_LIST: &str = "ir.txt";
+
+fn ir_sizes() -> [(usize, usize); 2] {
+    [IrSize::Medium, IrSize::High].map(IrSize::pixels)
+}
 
 /// The hash of what a recording holds, as [`replay::content_hash`] is that of a session.
 ///
@@ -153,10 +157,10 @@ impl RawDisparityCamera {
 
     fn read(&self, index: usize) -> Result<RawFrame, String> {
         let moment = &self.moments[index];
-        let image = |name: &Option<String>, size: (usize, usize)| {
+        let image = |name: &Option<String>, sizes: &[(usize, usize)]| {
             let path = name.as_ref().map(|name| self.folder.join(name));
             path.map(|path| {
-                replay::read_png(&path, size.0, size.1)
+                replay::read_png_of_size(&path, sizes)
                     .map_err(|what| format!("{}: {what}", path.display()))
             })
             .transpose()
@@ -165,8 +169,8 @@ impl RawDisparityCamera {
             frame_id: index as u64,
             device_time_secs: moment.time_secs,
             host_time: Instant::now(),
-            disparity: image(&moment.depth, DEPTH_SIZE)?,
-            ir: image(&moment.ir, IrSize::Medium.pixels())?,
+            disparity: image(&moment.depth, &[DEPTH_SIZE])?,
+            ir: image(&moment.ir, &ir_sizes())?,
         })
     }
 }
@@ -262,8 +266,8 @@ impl RawDisparityWriter {
     }
 
     fn check(&self, raw: &RawFrame) -> Result<(), String> {
-        check_size("disparity", raw.disparity.as_ref(), DEPTH_SIZE)?;
-        check_size("IR", raw.ir.as_ref(), IrSize::Medium.pixels())?;
+        check_size("disparity", raw.disparity.as_ref(), &[DEPTH_SIZE])?;
+        check_size("IR", raw.ir.as_ref(), &ir_sizes())?;
         if raw.disparity.is_none() && raw.ir.is_none() {
             return Err("it holds no image".to_owned());
         }
@@ -290,11 +294,15 @@ impl RawDisparityWriter {
     }
 }
 
-fn check_size(what: &str, image: Option<&Image<u16>>, size: (usize, usize)) -> Result<(), String> {
+fn check_size(
+    what: &str,
+    image: Option<&Image<u16>>,
+    sizes: &[(usize, usize)],
+) -> Result<(), String> {
     match image.map(|image| (image.width(), image.height())) {
-        Some((width, height)) if (width, height) != size => Err(format!(
-            "{what} is {width}×{height}, must be {}×{}",
-            size.0, size.1
+        Some((width, height)) if !sizes.contains(&(width, height)) => Err(format!(
+            "{what} is {width}×{height}, must be {}",
+            replay::any_of_sizes(sizes)
         )),
         _ => Ok(()),
     }

@@ -1,6 +1,11 @@
 //! What is decided before the device is opened.
 
-use crate::{frames::NOMINAL_IR_OFFSET_PX, streams::Streams};
+use std::time::Duration;
+
+use crate::{
+    frames::NOMINAL_IR_OFFSET_PX,
+    streams::{IrSize, Streams},
+};
 
 /// What is decided before the device is opened.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,6 +19,10 @@ pub struct Settings {
     pub ir_offset_px: [f64; 2],
     /// Where the lamp of the shading images is, IR camera's frame, metres; `None` if there is none.
     pub lamp_position_m: Option<[f64; 3]>,
+    /// The size of IR while depth is paused; its frames are of 640×480 pixels all the same.
+    pub paused_ir_size: IrSize,
+    /// How often a device that has gone is looked for, where nobody tells that it is back.
+    pub search_interval: Duration,
 }
 
 impl Default for Settings {
@@ -24,6 +33,8 @@ impl Default for Settings {
             ir_gain: 30,
             ir_offset_px: NOMINAL_IR_OFFSET_PX,
             lamp_position_m: None,
+            paused_ir_size: IrSize::default(),
+            search_interval: Duration::from_secs(1),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! What the device is asked to deliver.
 
+use serde::{Deserialize, Serialize};
+
 use crate::packets::PacketLayout;
 
 /// The sets of streams that the device can deliver; the colour camera shares its endpoint with IR and is not among them.
@@ -17,6 +19,14 @@ pub enum Streams {
 }
 
 impl Streams {
+    /// IR of that size, with depth stopped.
+    pub fn ir_alone(size: IrSize) -> Self {
+        match size {
+            IrSize::Medium => Streams::Ir,
+            IrSize::High => Streams::IrHigh,
+        }
+    }
+
     /// Whether depth is among them.
     pub fn depth(self) -> bool {
         matches!(self, Streams::DepthAndIr | Streams::Depth)
@@ -33,11 +43,14 @@ impl Streams {
 }
 
 /// Sizes of the IR image as the device delivers it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum IrSize {
     /// 640×488: the depth image's rows, and eight more at the bottom.
+    #[default]
+    #[serde(rename = "640x488")]
     Medium,
-    /// 1280×1024.
+    /// 1280×1024: every pixel of the sensor.
+    #[serde(rename = "1280x1024")]
     High,
 }
 

@@ -39,7 +39,7 @@ fn next_frame(camera: &mut Freenect2Camera, unit: &Unit, bytes: &[u8]) -> Frame 
 #[test]
 fn udev_tells_of_unplugging_and_plugging_in() {
     run_mocked("udev_tells_of_unplugging_and_plugging_in", || {
-        let testbed = Testbed::with_kinect2("K7");
+        let testbed = Testbed::with_camera(0x02c4, "K7");
         let unit = Unit::plug("K7", answers());
         let options = LiveOptions {
             serial: Some("K7".to_owned()),

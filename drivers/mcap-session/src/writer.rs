@@ -112,15 +112,7 @@ impl SegmentWriter {
     /// [`WriteError::Frame`] for a frame of the wrong size, out of order, without an image, or with IR from a camera said to
     /// have none: nothing of it was written, and the next may be. All other errors end the recording.
     pub fn write(&mut self, frame: &Frame) -> Result<(), RecordingError> {
-        self.write_images(frame, frame.ir.as_ref())
-    }
-
-    /// Records a frame without its IR, which may still follow by [`Self::write_infrared`].
-    ///
-    /// # Errors
-    /// As of [`Self::write`].
-    pub fn write_depth(&mut self, frame: &Frame) -> Result<(), RecordingError> {
-        self.write_images(frame, None)
+        self.write_with_infrared(frame, frame.ir.as_ref())
     }
 
     /// Records the IR of a frame whose depth was recorded at most a second before, when it turns out to be wanted.
@@ -135,7 +127,11 @@ impl SegmentWriter {
         self.tick()
     }
 
-    fn write_images(
+    /// Records a frame with that IR in place of its own, or without any, which may still follow by [`Self::write_infrared`].
+    ///
+    /// # Errors
+    /// As of [`Self::write`].
+    pub fn write_with_infrared(
         &mut self,
         frame: &Frame,
         ir: Option<&Image<u16>>,

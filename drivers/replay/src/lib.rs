@@ -35,5 +35,8 @@ pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
 pub use repeat::{Open, RepeatingCamera};
 pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile};
-pub use sixteen_bit_png::{PngEffort, decode as decode_png, read as read_png};
+pub use sixteen_bit_png::{
+    PngEffort, any_of as any_of_sizes, decode as decode_png, read as read_png,
+    read_one_of as read_png_of_size,
+};
 pub use writer::{SessionWriter, write_png};

@@ -14,14 +14,32 @@ use png::{BitDepth, ColorType, Compression, Decoder, Encoder, EncodingError, Fil
 /// # Errors
 /// Says what was found instead.
 pub fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16>, String> {
+    read_one_of(path, &[(width, height)])
+}
+
+/// Reads a 16-bit greyscale PNG of one of these sizes (columns, rows).
+///
+/// # Errors
+/// Says what was found instead.
+pub fn read_one_of(path: &Path, sizes: &[(usize, usize)]) -> Result<Image<u16>, String> {
     let file = fs::read(path).map_err(|error| error.to_string())?;
-    decode_checked(&file, |size| match size == (width, height) {
+    decode_checked(&file, |size| match sizes.contains(&size) {
         true => Ok(()),
         false => Err(format!(
-            "{}×{} pixels, expected {width}×{height}",
-            size.0, size.1
+            "{}×{} pixels, expected {}",
+            size.0,
+            size.1,
+            any_of(sizes)
         )),
     })
+}
+
+/// Sizes in words: `640×488 or 1280×1024`.
+pub fn any_of(sizes: &[(usize, usize)]) -> String {
+    let sizes = sizes
+        .iter()
+        .map(|(width, height)| format!("{width}×{height}"));
+    sizes.collect::<Vec<_>>().join(" or ")
 }
 
 /// Decodes a 16-bit greyscale PNG of any size.

@@ -94,6 +94,18 @@ impl SessionWriter {
     /// [`WriteError::Frame`] for a frame of the wrong size, out of order, without an image, or with IR from a camera
     /// said to have none; [`WriteError::Io`].
     pub fn write(&mut self, frame: &Frame) -> Result<(), WriteError> {
+        self.write_with_infrared(frame, frame.ir.as_ref())
+    }
+
+    /// As [`SessionWriter::write`], with IR of the same size in place of the frame's own, or without any.
+    ///
+    /// # Errors
+    /// As [`SessionWriter::write`].
+    pub fn write_with_infrared(
+        &mut self,
+        frame: &Frame,
+        ir: Option<&Image<u16>>,
+    ) -> Result<(), WriteError> {
         let time_micros = self.check(frame).map_err(|reason| WriteError::Frame {
             frame_id: frame.frame_id,
             reason,
@@ -104,7 +116,7 @@ impl SessionWriter {
             let units = depth.map(|&metres| self.depth_scale.units(metres));
             write_png(&self.folder.join(&depth_name), &units, PngEffort::Archive)?;
         }
-        if let Some(ir) = &frame.ir {
+        if let Some(ir) = ir {
             write_png(&self.folder.join(&ir_name), ir, PngEffort::Archive)?;
         }
 
@@ -115,7 +127,7 @@ impl SessionWriter {
         if frame.depth.is_some() {
             self.depth_list.append(time_secs, &depth_name)?;
         }
-        if let (Some(_), Some(list)) = (&frame.ir, &mut self.ir_list) {
+        if let (Some(_), Some(list)) = (ir, &mut self.ir_list) {
             list.append(time_secs, &ir_name)?;
         }
         Ok(())

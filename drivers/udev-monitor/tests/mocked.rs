@@ -10,7 +10,7 @@ use udev_monitor::{Action, UsbMonitor};
 
 /// Events come in order, as often as a device is plugged in and out.
 fn hot_plug() {
-    let testbed = Testbed::with_kinect2("K7");
+    let testbed = Testbed::with_camera(0x02c4, "K7");
     let mut monitor = UsbMonitor::open().unwrap();
     assert_eq!(monitor.next(Duration::ZERO).unwrap(), None);
     for _ in 0..3 {

@@ -258,14 +258,15 @@ impl Kinect {
                 let start = now + millis(self.device.first_ir_after_ms);
                 let loss = (self.device.lose_ir_every, self.device.lose_run);
                 let is_high = state.registers.get(&IR_RESOLUTION) == Some(&2);
-                let (format, file) = match is_high {
-                    true => (Format::IR_HIGH, "ir10-high.u16"),
-                    false => (Format::IR, "ir10.u16"),
-                };
-                let values = self.folder.values(file);
                 let play = self.play(&mut state, start);
-                let alone = self.folder.values("ir10-alone.u16");
-                state.ir = Some(Stream::start(format, values, play, loss).with_others(alone));
+                let ir = |format, file| Stream::start(format, self.folder.values(file), play, loss);
+                state.ir = Some(match is_high {
+                    true => ir(Format::IR_HIGH, "ir10-high.u16"),
+                    false => {
+                        let alone = self.folder.values("ir10-alone.u16");
+                        ir(Format::IR, "ir10.u16").with_others(alone)
+                    }
+                });
             }
             (VIDEO_MODE, _) => state.ir = None,
             _ => {}

@@ -17,8 +17,8 @@
 //! | `freeze_ir_clock` | `true`: stamps of IR stand still while depth is off | `false` |
 //!
 //! `depth11.u16` and `ir10.u16` hold frames of 640×480 and 640×488 values, little-endian, played over and over; frame n of one
-//! goes with frame n of the other. At 1280×1024 IR is `ir10-high.u16`. Where there is an `ir10-alone.u16`, its frames come in place
-//! of the others while depth is off, and while the file `covered` is there: the projector is dark then, or hidden.
+//! goes with frame n of the other. At 1280×1024 IR is `ir10-high.u16`, which comes with depth off alone. Where there is an `ir10-alone.u16`, its frames come in
+//! place of the other smaller ones while depth is off, and while the file `covered` is there: the projector is dark then, or hidden.
 //!
 //! A program that has claimed the camera holds a lock on the file `claimed`: another one finds it busy.
 //!

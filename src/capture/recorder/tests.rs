@@ -6,7 +6,7 @@ use depth_camera::{DepthCamera, Sensor};
 use mcap_session::{MessageReader, Step, messages::decode_string, open_session, streams::Stream};
 use replay::Pacing;
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
-use std::{fs, time::Duration};
+use std::{fs, sync::Arc, time::Duration};
 
 fn small_camera(n_frames: usize) -> SimulatedCamera {
     SimulatedCamera::new(Setup {
@@ -51,7 +51,7 @@ fn frames_and_events_are_read_back_from_either_format() {
             .unwrap();
         assert!(recorder.standing().unwrap().active);
         while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
-            recorder.frame(&Arc::new(frame));
+            recorder.frame(&DeliveredFrame::unmoved(Arc::new(frame)));
         }
         recorder.tracked(Tracked::Event(event(1, EventKind::Found)));
         recorder.tick();
@@ -103,7 +103,7 @@ fn infrared_is_recorded_around_shading_images_and_events_with_the_frames() {
         .unwrap();
     while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
         let frame_id = frame.frame_id;
-        recorder.frame(&Arc::new(frame));
+        recorder.frame(&DeliveredFrame::unmoved(Arc::new(frame)));
         if frame_id == 33 {
             let taken = EventKind::Snapshot { n_snapshots: 1 };
             recorder.tracked(Tracked::Event(event(30, taken)));
@@ -133,8 +133,11 @@ fn a_disk_that_fills_up_stops_the_recording_and_is_told_of() {
         .unwrap()
         .with_frames(camera.info(), &params(RecordFormat::Folder))
         .unwrap();
-    let frame = Arc::new(camera.grab(Duration::ZERO).unwrap().unwrap());
-    recorder.frame(&frame);
+    let mut next = || {
+        let frame = camera.grab(Duration::ZERO).unwrap().unwrap();
+        DeliveredFrame::unmoved(Arc::new(frame))
+    };
+    recorder.frame(&next());
     assert!(recorder.take_events().is_empty());
     let recording = recorder.frames.as_mut().unwrap();
     recording.standing.disk_floor_bytes = u64::MAX;
@@ -147,7 +150,7 @@ fn a_disk_that_fills_up_stops_the_recording_and_is_told_of() {
     assert_eq!(told[0].kind, EventKind::RecordingStopped { reason });
     assert!(!recorder.has_failed(), "what was recorded is in order");
     // The scan goes on, and so do its events.
-    recorder.frame(&Arc::new(camera.grab(Duration::ZERO).unwrap().unwrap()));
+    recorder.frame(&next());
     recorder.tracked(Tracked::Event(event(1, EventKind::Found)));
     let summary = recorder.finish();
     assert_eq!((summary.n_recorded, summary.failures.len()), (1, 1));

@@ -6,9 +6,10 @@ use super::{
     stand_in::{Bus, ZERO_PLANE_LINE, inside},
 };
 use crate::raw_kinect1::raw_frames;
+use freenect1::streams::IrSize;
 use relief::{
     capture::{CaptureParams, ShadingStrategy},
-    devices::open,
+    devices::{DeviceParams, open},
     pipeline::{
         Command, CommandRefused, Ending, EventKind, Handle, OutputFolder, Pipeline, PipelineParams,
         Status, Watch, WhenFull,
@@ -49,12 +50,24 @@ struct Scan {
 }
 
 impl Scan {
+    /// Fused only, its infrared of the smaller size.
     fn begin(root: PathBuf, shading: ShadingStrategy) -> Self {
-        let camera = open(SERIAL, &device_params()).unwrap();
-        let folder = OutputFolder::claim(&root.join("out")).unwrap();
-        let params = scan_params();
-        let params = PipelineParams {
+        let fused_only = PipelineParams {
             refine: None,
+            ..scan_params()
+        };
+        Scan::with(root, shading, fused_only, &device_params())
+    }
+
+    fn with(
+        root: PathBuf,
+        shading: ShadingStrategy,
+        params: PipelineParams,
+        device: &DeviceParams,
+    ) -> Self {
+        let camera = open(SERIAL, device).unwrap();
+        let folder = OutputFolder::claim(&root.join("out")).unwrap();
+        let params = PipelineParams {
             when_full: WhenFull::Drop,
             capture: CaptureParams {
                 shading,
@@ -188,6 +201,82 @@ fn stopping_depth_gives_an_image_for_each_request() {
         (1, 1)
     );
     assert_eq!(count(&written, "write 15 c"), 1, "{written:?}");
+}
+
+/// Four pixels for each of an image, whose means are its counts, and noise in the rows that the smaller image does not have.
+fn spread(counts: &[u16]) -> Vec<u16> {
+    let (width, height) = IrSize::High.pixels();
+    let part = |u: usize, v: usize| {
+        let count = counts[640 * (v / 2) + u / 2];
+        let amount = count.min(1022 - count.min(1022)).min(9);
+        match (u % 2, v % 2) {
+            (0, 0) => count - amount,
+            (1, 1) => count + amount,
+            _ => count,
+        }
+    };
+    let pixels = (0..width * height).map(|i| (i % width, i / width));
+    pixels
+        .map(|(u, v)| match v < 960 {
+            true => part(u, v),
+            false => ((u * 7919 + v * 104_729) % 1024) as u16,
+        })
+        .collect()
+}
+
+#[test]
+fn exposures_of_full_size_become_images_of_the_depth_grid() {
+    let test = "live_devices::snapshots::exposures_of_full_size_become_images_of_the_depth_grid";
+    let Some(root) = inside() else {
+        let bus = still_before_the_plaque(true);
+        let lamp = fs::read(bus.path("kinect0/ir10-alone.u16")).unwrap();
+        let lamp: Vec<u16> = lamp
+            .chunks_exact(2)
+            .map(|pair| u16::from_le_bytes([pair[0], pair[1]]))
+            .collect();
+        let high: Vec<u8> = spread(&lamp)
+            .into_iter()
+            .flat_map(u16::to_le_bytes)
+            .collect();
+        fs::write(bus.path("kinect0/ir10-high.u16"), high).unwrap();
+        return bus.run_inside(test);
+    };
+    let mut device = device_params();
+    device.kinect1.stop_depth_ir_size = IrSize::High;
+    let scan = Scan::with(
+        root.clone(),
+        ShadingStrategy::StopDepth,
+        scan_params(),
+        &device,
+    );
+    scan.fuse(3);
+    for n_images in 1..=2 {
+        scan.ask().unwrap();
+        scan.until("it is taken", |status| {
+            status.snapshots.accepted == n_images && !status.is_snapshotting
+        });
+        scan.fuse(3);
+    }
+    assert_eq!(scan.refusals(), Vec::<String>::new());
+    let (n_images, folder) = scan.finish();
+    assert_eq!(n_images, 2);
+    for image in ["000", "001"] {
+        assert_lamp(&root, &folder.join(image));
+    }
+    let report = fs::read_to_string(root.join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let refined = &report["refined_mesh"];
+    let [before, after] = ["rmse_before", "rmse_after"].map(|key| refined[key].as_f64().unwrap());
+    eprintln!("image error {before:.4} -> {after:.4}");
+    assert_eq!(refined["views"].as_array().unwrap().len(), 2);
+    assert!(after < before, "{before} -> {after}");
+    let written = written(&root);
+    // At full size for each image, and back; IR is stopped for it.
+    assert_eq!(
+        (count(&written, "write 1a 2"), count(&written, "write 1a 1")),
+        (2, 3),
+        "{written:?}"
+    );
 }
 
 #[test]

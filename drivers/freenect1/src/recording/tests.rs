@@ -27,7 +27,11 @@ fn raw(number: u64, with_disparity: bool) -> RawFrame {
         device_time_secs: depth_camera::whole_microseconds(71.0 + number as f64 / 30.0),
         host_time: Instant::now(),
         disparity: with_disparity.then(|| image(number as usize, DEPTH_SIZE, 2048)),
-        ir: Some(image(number as usize, IrSize::Medium.pixels(), 1024)),
+        // Without depth it may be of either size.
+        ir: Some(match with_disparity {
+            true => image(number as usize, IrSize::Medium.pixels(), 1024),
+            false => image(number as usize, IrSize::High.pixels(), 1024),
+        }),
     }
 }
 
@@ -40,6 +44,13 @@ fn record(folder: &Path) {
     assert!(
         late.to_string().contains("must be finite and follow"),
         "{late}"
+    );
+    let mut odd = raw(9, false);
+    odd.ir = Some(image(9, (640, 480), 1024));
+    let odd = writer.write(&odd).unwrap_err().to_string();
+    assert!(
+        odd.contains("IR is 640×480, must be 640×488 or 1280×1024"),
+        "{odd}"
     );
     assert_eq!(writer.finish().unwrap(), 4);
 }

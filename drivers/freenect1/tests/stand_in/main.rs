@@ -11,8 +11,11 @@ mod allocations;
 mod commands;
 mod devices;
 mod faults;
+mod hot_plug;
 mod memcheck;
 mod scene;
 mod streaming;
 mod support;
+#[path = "../../../udev-monitor/tests/testbed/mod.rs"]
+mod testbed;
 mod unplugging;

@@ -8,7 +8,9 @@ use std::{
 use depth_camera::CameraError;
 use freenect1::{Freenect1Camera, Settings};
 
-use crate::support::{assert_bit_exact, lower, next_failure, next_whole, on_stand_in, raise};
+use crate::support::{
+    SECOND, assert_bit_exact, lower, next_failure, next_whole, on_stand_in, raise,
+};
 
 #[test]
 fn unplugging_is_noticed_at_once_and_plugging_in_goes_on() {
@@ -51,7 +53,11 @@ fn fifty_times_leave_nothing_behind() {
         "unplugging::fifty_times_leave_nothing_behind",
         &[""],
         |root| {
-            let mut camera = Freenect1Camera::open(None, Settings::default()).unwrap();
+            let settings = Settings {
+                search_interval: SECOND / 10,
+                ..Settings::default()
+            };
+            let mut camera = Freenect1Camera::open(None, settings).unwrap();
             let mut after_warm_up = (0, 0);
             let mut slowest = Duration::ZERO;
             for cycle in 0..50 {

@@ -93,7 +93,7 @@ fn infrared_that_comes_late_finds_its_frame() {
         let frame = frame(&info, frame_id);
         match frame_id % 6 {
             0 => writer.write(&frame).unwrap(),
-            _ => writer.write_depth(&frame).unwrap(),
+            _ => writer.write_with_infrared(&frame, None).unwrap(),
         }
     }
     let late = (15..35).filter(|frame_id| frame_id % 6 != 0);

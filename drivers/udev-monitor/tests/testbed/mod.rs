@@ -38,12 +38,12 @@ pub struct Testbed {
 }
 
 impl Testbed {
-    /// A bus with a Kinect II of that serial number, of whose coming nobody has been told yet.
-    pub fn with_kinect2(serial: &str) -> Self {
+    /// A bus with a camera of that product id of Microsoft's and that serial number, of whose coming nobody has been told yet.
+    pub fn with_camera(product: u16, serial: &str) -> Self {
         let testbed = Testbed::new();
         testbed.add(&format!(
-            "P: {DEVICE_PATH}\nN: bus/usb/001/002\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nE: PRODUCT=45e/2c4/100\n\
-             E: ID_SERIAL_SHORT={serial}\nA: idVendor=045e\\n\nA: idProduct=02c4\\n\n"
+            "P: {DEVICE_PATH}\nN: bus/usb/001/002\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nE: PRODUCT=45e/{product:x}/100\n\
+             E: ID_SERIAL_SHORT={serial}\nA: idVendor=045e\\n\nA: idProduct={product:04x}\\n\n"
         ));
         testbed
     }
