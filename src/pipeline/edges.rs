@@ -16,8 +16,10 @@ use super::{
 use crate::capture::Tracked;
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
 use depth_camera::Frame;
+pub use handover::WhenFull;
+use handover::{QueueReceiver, QueueSender};
 use std::sync::{
-    Arc, Weak,
+    Arc,
     atomic::{AtomicU64, Ordering},
 };
 
@@ -30,16 +32,6 @@ const COMMANDS: usize = 8;
 const SURFACES: usize = 1;
 const SCANS: usize = 1;
 
-/// What the device thread does when its consumers are slower than the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum WhenFull {
-    /// Waits: every frame of a recording is used, and results do not depend on the machine.
-    #[default]
-    Block,
-    /// Drops and counts, so that the device never waits.
-    Drop,
-}
-
 /// Frames that were not, or not wholly, recorded because the disk was busy.
 #[derive(Debug, Default)]
 pub struct DropCounts {
@@ -51,104 +43,27 @@ pub struct DropCounts {
 
 /// Device → fusion, sending end.
 pub struct FrameSender {
-    channel: Sender<Arc<Frame>>,
-    /// There if the oldest frame makes way: what takes it out, and whether fusion still listens.
-    overflow: Option<(Receiver<Arc<Frame>>, Weak<()>)>,
+    queue: QueueSender<Arc<Frame>>,
     status: StatusSlot,
 }
 
 /// Device → fusion, receiving end.
-pub struct FrameReceiver {
-    channel: Receiver<Arc<Frame>>,
-    when_full: WhenFull,
-    /// Tells a sender, which holds a receiver of its own, that nobody listens any more.
-    alive: Option<Arc<()>>,
-    status: StatusSlot,
-}
+pub type FrameReceiver = QueueReceiver<Arc<Frame>>;
 
 /// Device → fusion.
 pub fn frames(when_full: WhenFull, status: &StatusSlot) -> (FrameSender, FrameReceiver) {
-    let (sender, receiver) = bounded(FRAMES);
-    let alive = Arc::new(());
-    let overflow = match when_full {
-        WhenFull::Block => None,
-        WhenFull::Drop => Some((receiver.clone(), Arc::downgrade(&alive))),
-    };
-    let sender = FrameSender {
-        channel: sender,
-        overflow,
-        status: status.clone(),
-    };
-    let receiver = FrameReceiver {
-        channel: receiver,
-        when_full,
-        alive: Some(alive),
-        status: status.clone(),
-    };
-    (sender, receiver)
+    let of_queue = status.clone();
+    let (queue, receiver) = handover::queue(FRAMES, when_full, move || dropped(&of_queue));
+    let status = status.clone();
+    (FrameSender { queue, status }, receiver)
 }
 
 impl FrameSender {
     /// Sends a frame; false if nobody listens any more.
     pub fn send(&self, frame: Arc<Frame>) -> bool {
+        // Before it is sent: whoever takes it out accounts for it.
         self.status.update(|status| status.frames.sent());
-        let is_wanted = match &self.overflow {
-            None => self.channel.send(frame).is_ok(),
-            Some((oldest, alive)) => {
-                self.send_newest(frame, oldest);
-                alive.strong_count() > 0
-            }
-        };
-        if !is_wanted {
-            self.unwanted();
-        }
-        is_wanted
-    }
-
-    /// Puts a frame in, the oldest one out if there is no room.
-    fn send_newest(&self, mut frame: Arc<Frame>, oldest: &Receiver<Arc<Frame>>) {
-        while let Err(TrySendError::Full(refused)) = self.channel.try_send(frame) {
-            frame = refused;
-            if oldest.try_recv().is_ok() {
-                dropped(&self.status);
-            }
-        }
-    }
-
-    /// Accounts for what nobody will take out: a frame that was put in, or refused, after the receiver was dropped.
-    fn unwanted(&self) {
-        match &self.overflow {
-            None => dropped(&self.status),
-            Some((left, _)) => left.try_iter().for_each(|_| dropped(&self.status)),
-        }
-    }
-}
-
-impl FrameReceiver {
-    /// The channel itself, to be waited for among others.
-    pub fn channel(&self) -> &Receiver<Arc<Frame>> {
-        &self.channel
-    }
-
-    /// Of a frame that was taken out and those behind it the newest two, the older first; the others are dropped. Where nothing
-    /// may be dropped, the frame alone.
-    pub fn newest_two(&self, frame: Arc<Frame>) -> impl Iterator<Item = Arc<Frame>> {
-        let (mut older, mut newest) = (None, frame);
-        if self.when_full == WhenFull::Drop {
-            for newer in self.channel.try_iter().take(FRAMES) {
-                let before = older.replace(std::mem::replace(&mut newest, newer));
-                before.into_iter().for_each(|_| dropped(&self.status));
-            }
-        }
-        older.into_iter().chain([newest])
-    }
-}
-
-impl Drop for FrameReceiver {
-    fn drop(&mut self) {
-        // In this order: what a sender puts in later it takes out itself.
-        self.alive = None;
-        self.channel.try_iter().for_each(|_| dropped(&self.status));
+        self.queue.send(frame)
     }
 }
 
