@@ -100,27 +100,27 @@ impl RecordingSender {
             let _ = self.channel.send(frame);
             return;
         }
-        let frame = match self.channel.len() {
-            n if n >= RECORDING_WITHOUT_IR => self.without_ir(frame),
-            _ => frame,
+        let has_both = frame.ir.is_some() && frame.depth.is_some();
+        let without_ir = has_both && self.channel.len() >= RECORDING_WITHOUT_IR;
+        let sent = self.channel.try_send(match without_ir {
+            true => depth_alone(&frame),
+            false => frame,
+        });
+        let count = match sent {
+            Ok(()) if without_ir => &self.counts.recorded_ir,
+            Err(TrySendError::Full(_)) => &self.counts.recorded_frames,
+            Ok(()) | Err(TrySendError::Disconnected(_)) => return,
         };
-        if let Err(TrySendError::Full(_)) = self.channel.try_send(frame) {
-            self.counts.recorded_frames.fetch_add(1, Ordering::Relaxed);
-        }
+        count.fetch_add(1, Ordering::Relaxed);
     }
+}
 
-    /// The frame's depth alone, if it has both.
-    fn without_ir(&self, frame: Arc<Frame>) -> Arc<Frame> {
-        if frame.ir.is_none() || frame.depth.is_none() {
-            return frame;
-        }
-        self.counts.recorded_ir.fetch_add(1, Ordering::Relaxed);
-        Arc::new(Frame {
-            ir: None,
-            depth: frame.depth.clone(),
-            ..*frame
-        })
-    }
+fn depth_alone(frame: &Frame) -> Arc<Frame> {
+    Arc::new(Frame {
+        ir: None,
+        depth: frame.depth.clone(),
+        ..*frame
+    })
 }
 
 /// Device and fusion → recorder, sending end.
@@ -163,68 +163,4 @@ pub fn scans() -> (Sender<Arc<FusedScan>>, Receiver<Arc<FusedScan>>) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use depth_camera::Image;
-    use std::time::Instant;
-
-    fn frame(frame_id: u64) -> Arc<Frame> {
-        Arc::new(Frame {
-            frame_id,
-            device_time_secs: frame_id as f64,
-            host_time: Instant::now(),
-            depth: Some(Image::filled(1, 1, 1.0)),
-            ir: Some(Image::filled(1, 1, 1)),
-        })
-    }
-
-    #[test]
-    fn the_newest_frames_win_and_the_rest_is_counted() {
-        let status = StatusSlot::default();
-        let (sender, receiver) = frames(WhenFull::Drop, &status);
-        for frame_id in 0..10 {
-            assert!(sender.send(frame(frame_id)));
-        }
-        let accounts = status.get().frames;
-        assert_eq!((accounts.dropped, accounts.in_flight), (6, 4));
-        assert_eq!(receiver.channel().recv().unwrap().frame_id, 6);
-        drop(receiver);
-        assert!(!sender.send(frame(10)));
-        // The one that was taken out is still in somebody's hands.
-        let accounts = status.get().frames;
-        assert_eq!((accounts.dropped, accounts.in_flight), (10, 1));
-        assert_eq!((accounts.produced, accounts.unaccounted()), (11, 0));
-    }
-
-    #[test]
-    fn of_frames_that_wait_the_newest_two_are_taken_where_some_may_be_dropped() {
-        for (when_full, expected) in [(WhenFull::Drop, vec![2, 3]), (WhenFull::Block, vec![0])] {
-            let status = StatusSlot::default();
-            let (sender, receiver) = frames(when_full, &status);
-            for frame_id in 0..4 {
-                assert!(sender.send(frame(frame_id)));
-            }
-            let first = receiver.channel().recv().unwrap();
-            let taken: Vec<u64> = receiver.newest_two(first).map(|f| f.frame_id).collect();
-            assert_eq!(taken, expected);
-            let accounts = status.get().frames;
-            assert_eq!(accounts.dropped, 2 * u64::from(when_full == WhenFull::Drop));
-            assert_eq!(accounts.unaccounted(), 0);
-        }
-    }
-
-    #[test]
-    fn a_full_recording_loses_infrared_before_depth() {
-        let counts = Arc::new(DropCounts::default());
-        let (sender, receiver) = recording(WhenFull::Drop, &counts);
-        for frame_id in 0..70 {
-            sender.send(frame(frame_id));
-        }
-        let recorded: Vec<_> = receiver.try_iter().collect();
-        assert_eq!(recorded.len(), RECORDING);
-        assert!(recorded.iter().all(|frame| frame.depth.is_some()));
-        let n_ir = recorded.iter().filter(|frame| frame.ir.is_some()).count();
-        assert_eq!(n_ir, RECORDING_WITHOUT_IR);
-        assert_eq!(counts.recorded_frames.load(Ordering::Relaxed), 6);
-    }
-}
+mod tests;
