@@ -7,10 +7,10 @@ use super::{
     landing::land,
     limits::Limits,
     spool::{self, Record},
-    worker::{Board, Shared},
+    worker::Shared,
 };
 use crate::lock::lock;
-use std::{fs, io, sync::PoisonError, time::Duration};
+use std::{fs, io, time::Duration};
 
 /// After the disk has refused, the worker looks again so much later.
 const AFTER_REFUSAL: Duration = Duration::from_secs(5);
@@ -18,33 +18,16 @@ const AFTER_REFUSAL: Duration = Duration::from_secs(5);
 impl Shared {
     /// Works until the worker is to stop.
     pub fn work(&self) {
-        self.announce();
-        while self.await_news() {
+        self.bell.ring();
+        while self.bell.wait() {
             let worked = self.work_off();
             self.refresh();
             if let Err(error) = worked {
                 tracing::error!("refinement waits: {error}");
-                self.pause(AFTER_REFUSAL);
-                self.announce();
+                self.bell.rest(AFTER_REFUSAL);
+                self.bell.ring();
             }
         }
-    }
-
-    /// Waits for something to do; false when the worker is to stop.
-    fn await_news(&self) -> bool {
-        let is_idle = |board: &mut Board| !board.has_news && !board.is_stopping;
-        let waited = self.news.wait_while(lock(&self.board), is_idle);
-        let mut board = waited.unwrap_or_else(PoisonError::into_inner);
-        board.has_news = false;
-        !board.is_stopping
-    }
-
-    fn pause(&self, duration: Duration) {
-        let goes_on = |board: &mut Board| !board.is_stopping;
-        drop(
-            self.news
-                .wait_timeout_while(lock(&self.board), duration, goes_on),
-        );
     }
 
     /// Runs jobs until none waits or the worker is to stop.
@@ -54,13 +37,10 @@ impl Shared {
             self.deliver(&record)?;
         }
         loop {
-            {
-                let mut board = lock(&self.board);
-                if board.is_stopping {
-                    return Ok(());
-                }
-                board.cancelled = None;
+            if self.bell.is_stopped() {
+                return Ok(());
             }
+            lock(&self.board).cancelled = None;
             let Some(record) = lock(&self.spool).claim()? else {
                 return Ok(());
             };
@@ -118,10 +98,8 @@ impl Shared {
                 max_idle: Duration::from_secs_f64(setup.params.max_idle_secs),
             }
         };
-        let is_told = || {
-            let board = lock(&self.board);
-            board.is_stopping || board.cancelled.as_ref() == Some(&record.id)
-        };
+        let is_cancelled = || lock(&self.board).cancelled.as_ref() == Some(&record.id);
+        let is_told = || self.bell.is_stopped() || is_cancelled();
         let slot = self.progress.clone();
         let on_progress = move |progress| *lock(&slot) = Some(progress);
         child::run(&attempt, is_told, on_progress)

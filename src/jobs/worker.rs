@@ -6,9 +6,10 @@ use super::{
     spool::{self, Place, Request, Spool},
 };
 use crate::{lock::lock, pipeline::REFINED_PLY};
+use handover::Bell;
 use std::{
     path::{Path, PathBuf},
-    sync::{Arc, Condvar, Mutex},
+    sync::{Arc, Mutex},
     thread::{self, JoinHandle},
     time::{SystemTime, UNIX_EPOCH},
 };
@@ -56,7 +57,7 @@ impl Worker {
             spool: Mutex::new(spool),
             board: Mutex::new(board),
             progress: Arc::default(),
-            news: Condvar::new(),
+            bell: Bell::default(),
         });
         shared.refresh();
         let of_thread = shared.clone();
@@ -133,8 +134,7 @@ impl WorkerHandle {
 
     /// Tells the child to end; its job goes back among the waiting, and none is begun any more. Returns at once.
     pub fn begin_stop(&self) {
-        lock(&self.shared.board).is_stopping = true;
-        self.shared.news.notify_all();
+        self.shared.bell.stop();
     }
 
     /// Stops the child in order, puts its job back among the waiting, and waits for the thread.
@@ -156,8 +156,8 @@ pub(super) struct Shared {
     pub board: Mutex<Board>,
     /// How far the running job is.
     pub progress: Arc<Mutex<Option<JobProgress>>>,
-    /// Tells the thread that the board has changed.
-    pub news: Condvar,
+    /// Calls the thread, and tells it to end.
+    pub bell: Bell,
 }
 
 /// What is shown and asked, newest only.
@@ -167,8 +167,6 @@ pub(super) struct Board {
     pub settings: Arc<str>,
     /// The running job that is to end.
     pub cancelled: Option<JobId>,
-    pub has_news: bool,
-    pub is_stopping: bool,
 }
 
 impl Shared {
@@ -191,7 +189,7 @@ impl Shared {
         };
         let submitted = lock(&self.spool).submit(&request);
         self.refresh();
-        self.announce();
+        self.bell.ring();
         submitted.map(|(place, record)| record.job(place))
     }
 
@@ -205,11 +203,5 @@ impl Shared {
             }
             Err(error) => tracing::error!("the spool cannot be read: {error}"),
         }
-    }
-
-    /// Tells the thread that there may be something to do.
-    pub fn announce(&self) {
-        lock(&self.board).has_news = true;
-        self.news.notify_all();
     }
 }

@@ -79,6 +79,9 @@ pub fn run(
 }
 
 #[cfg(test)]
+mod ending_tests;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::capture::DeliveredFrame;

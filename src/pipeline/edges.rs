@@ -16,8 +16,10 @@ use super::{
 use crate::capture::{DeliveredFrame, Tracked};
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
 use depth_camera::Frame;
+pub use handover::WhenFull;
+use handover::{QueueReceiver, QueueSender};
 use std::sync::{
-    Arc, Weak,
+    Arc,
     atomic::{AtomicU64, Ordering},
 };
 
@@ -30,16 +32,6 @@ const COMMANDS: usize = 8;
 const SURFACES: usize = 1;
 const SCANS: usize = 1;
 
-/// What the device thread does when its consumers are slower than the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum WhenFull {
-    /// Waits: every frame of a recording is used, and results do not depend on the machine.
-    #[default]
-    Block,
-    /// Drops and counts, so that the device never waits.
-    Drop,
-}
-
 /// Frames that were not, or not wholly, recorded because the disk was busy.
 #[derive(Debug, Default)]
 pub struct DropCounts {
@@ -51,104 +43,27 @@ pub struct DropCounts {
 
 /// Device → fusion, sending end.
 pub struct FrameSender {
-    channel: Sender<Arc<Frame>>,
-    /// There if the oldest frame makes way: what takes it out, and whether fusion still listens.
-    overflow: Option<(Receiver<Arc<Frame>>, Weak<()>)>,
+    queue: QueueSender<Arc<Frame>>,
     status: StatusSlot,
 }
 
 /// Device → fusion, receiving end.
-pub struct FrameReceiver {
-    channel: Receiver<Arc<Frame>>,
-    when_full: WhenFull,
-    /// Tells a sender, which holds a receiver of its own, that nobody listens any more.
-    alive: Option<Arc<()>>,
-    status: StatusSlot,
-}
+pub type FrameReceiver = QueueReceiver<Arc<Frame>>;
 
 /// Device → fusion.
 pub fn frames(when_full: WhenFull, status: &StatusSlot) -> (FrameSender, FrameReceiver) {
-    let (sender, receiver) = bounded(FRAMES);
-    let alive = Arc::new(());
-    let overflow = match when_full {
-        WhenFull::Block => None,
-        WhenFull::Drop => Some((receiver.clone(), Arc::downgrade(&alive))),
-    };
-    let sender = FrameSender {
-        channel: sender,
-        overflow,
-        status: status.clone(),
-    };
-    let receiver = FrameReceiver {
-        channel: receiver,
-        when_full,
-        alive: Some(alive),
-        status: status.clone(),
-    };
-    (sender, receiver)
+    let of_queue = status.clone();
+    let (queue, receiver) = handover::queue(FRAMES, when_full, move || dropped(&of_queue));
+    let status = status.clone();
+    (FrameSender { queue, status }, receiver)
 }
 
 impl FrameSender {
     /// Sends a frame; false if nobody listens any more.
     pub fn send(&self, frame: Arc<Frame>) -> bool {
+        // Before it is sent: whoever takes it out accounts for it.
         self.status.update(|status| status.frames.sent());
-        let is_wanted = match &self.overflow {
-            None => self.channel.send(frame).is_ok(),
-            Some((oldest, alive)) => {
-                self.send_newest(frame, oldest);
-                alive.strong_count() > 0
-            }
-        };
-        if !is_wanted {
-            self.unwanted();
-        }
-        is_wanted
-    }
-
-    /// Puts a frame in, the oldest one out if there is no room.
-    fn send_newest(&self, mut frame: Arc<Frame>, oldest: &Receiver<Arc<Frame>>) {
-        while let Err(TrySendError::Full(refused)) = self.channel.try_send(frame) {
-            frame = refused;
-            if oldest.try_recv().is_ok() {
-                dropped(&self.status);
-            }
-        }
-    }
-
-    /// Accounts for what nobody will take out: a frame that was put in, or refused, after the receiver was dropped.
-    fn unwanted(&self) {
-        match &self.overflow {
-            None => dropped(&self.status),
-            Some((left, _)) => left.try_iter().for_each(|_| dropped(&self.status)),
-        }
-    }
-}
-
-impl FrameReceiver {
-    /// The channel itself, to be waited for among others.
-    pub fn channel(&self) -> &Receiver<Arc<Frame>> {
-        &self.channel
-    }
-
-    /// Of a frame that was taken out and those behind it the newest two, the older first; the others are dropped. Where nothing
-    /// may be dropped, the frame alone.
-    pub fn newest_two(&self, frame: Arc<Frame>) -> impl Iterator<Item = Arc<Frame>> {
-        let (mut older, mut newest) = (None, frame);
-        if self.when_full == WhenFull::Drop {
-            for newer in self.channel.try_iter().take(FRAMES) {
-                let before = older.replace(std::mem::replace(&mut newest, newer));
-                before.into_iter().for_each(|_| dropped(&self.status));
-            }
-        }
-        older.into_iter().chain([newest])
-    }
-}
-
-impl Drop for FrameReceiver {
-    fn drop(&mut self) {
-        // In this order: what a sender puts in later it takes out itself.
-        self.alive = None;
-        self.channel.try_iter().for_each(|_| dropped(&self.status));
+        self.queue.send(frame)
     }
 }
 
@@ -185,22 +100,18 @@ impl RecordingSender {
             let _ = self.channel.send(frame);
             return;
         }
-        let frame = match self.channel.len() {
-            n if n >= RECORDING_WITHOUT_IR => self.without_ir(frame),
-            _ => frame,
+        let has_both = frame.ir.is_some() && frame.frame.depth.is_some();
+        let without_ir = has_both && self.channel.len() >= RECORDING_WITHOUT_IR;
+        let sent = self.channel.try_send(match without_ir {
+            true => DeliveredFrame { ir: None, ..frame },
+            false => frame,
+        });
+        let count = match sent {
+            Ok(()) if without_ir => &self.counts.recorded_ir,
+            Err(TrySendError::Full(_)) => &self.counts.recorded_frames,
+            Ok(()) | Err(TrySendError::Disconnected(_)) => return,
         };
-        if let Err(TrySendError::Full(_)) = self.channel.try_send(frame) {
-            self.counts.recorded_frames.fetch_add(1, Ordering::Relaxed);
-        }
-    }
-
-    /// The frame's depth alone, if it has both.
-    fn without_ir(&self, frame: DeliveredFrame) -> DeliveredFrame {
-        if frame.ir.is_none() || frame.frame.depth.is_none() {
-            return frame;
-        }
-        self.counts.recorded_ir.fetch_add(1, Ordering::Relaxed);
-        DeliveredFrame { ir: None, ..frame }
+        count.fetch_add(1, Ordering::Relaxed);
     }
 }
 
@@ -244,69 +155,4 @@ pub fn scans() -> (Sender<Arc<FusedScan>>, Receiver<Arc<FusedScan>>) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use depth_camera::Image;
-    use std::time::Instant;
-
-    fn frame(frame_id: u64) -> Arc<Frame> {
-        Arc::new(Frame {
-            frame_id,
-            device_time_secs: frame_id as f64,
-            host_time: Instant::now(),
-            depth: Some(Image::filled(1, 1, 1.0)),
-            ir: Some(Image::filled(1, 1, 1)),
-        })
-    }
-
-    #[test]
-    fn the_newest_frames_win_and_the_rest_is_counted() {
-        let status = StatusSlot::default();
-        let (sender, receiver) = frames(WhenFull::Drop, &status);
-        for frame_id in 0..10 {
-            assert!(sender.send(frame(frame_id)));
-        }
-        let accounts = status.get().frames;
-        assert_eq!((accounts.dropped, accounts.in_flight), (6, 4));
-        assert_eq!(receiver.channel().recv().unwrap().frame_id, 6);
-        drop(receiver);
-        assert!(!sender.send(frame(10)));
-        // The one that was taken out is still in somebody's hands.
-        let accounts = status.get().frames;
-        assert_eq!((accounts.dropped, accounts.in_flight), (10, 1));
-        assert_eq!((accounts.produced, accounts.unaccounted()), (11, 0));
-    }
-
-    #[test]
-    fn of_frames_that_wait_the_newest_two_are_taken_where_some_may_be_dropped() {
-        for (when_full, expected) in [(WhenFull::Drop, vec![2, 3]), (WhenFull::Block, vec![0])] {
-            let status = StatusSlot::default();
-            let (sender, receiver) = frames(when_full, &status);
-            for frame_id in 0..4 {
-                assert!(sender.send(frame(frame_id)));
-            }
-            let first = receiver.channel().recv().unwrap();
-            let taken: Vec<u64> = receiver.newest_two(first).map(|f| f.frame_id).collect();
-            assert_eq!(taken, expected);
-            let accounts = status.get().frames;
-            assert_eq!(accounts.dropped, 2 * u64::from(when_full == WhenFull::Drop));
-            assert_eq!(accounts.unaccounted(), 0);
-        }
-    }
-
-    #[test]
-    fn a_full_recording_loses_infrared_before_depth() {
-        let counts = Arc::new(DropCounts::default());
-        let (sender, receiver) = recording(WhenFull::Drop, &counts);
-        for frame_id in 0..70 {
-            sender.send(DeliveredFrame::unmoved(frame(frame_id)));
-        }
-        let recorded: Vec<_> = receiver.try_iter().collect();
-        assert_eq!(recorded.len(), RECORDING);
-        assert!(recorded.iter().all(|frame| frame.frame.depth.is_some()));
-        let n_ir = recorded.iter().filter(|frame| frame.infrared().is_some());
-        let n_ir = n_ir.count();
-        assert_eq!(n_ir, RECORDING_WITHOUT_IR);
-        assert_eq!(counts.recorded_frames.load(Ordering::Relaxed), 6);
-    }
-}
+mod tests;

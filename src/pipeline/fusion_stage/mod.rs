@@ -138,6 +138,7 @@ pub fn run(
         }
         stage.check_accounts(&frames);
     }
+    stage.obey_last(commands);
     let summary = stage.finish();
     if let Some(scan) = &summary.scan {
         // A refinement that is gone is told of where its thread is joined.
@@ -312,3 +313,6 @@ impl FusionStage {
         corrected.map_or_else(|| frame.clone(), Arc::new)
     }
 }
+
+#[cfg(test)]
+mod ending_tests;

@@ -10,9 +10,11 @@ use crate::{
     pipeline::{
         command::Command,
         state::State,
+        status::Phase,
         stop_depth::{ShadingOutcome, ShadingRequest},
     },
 };
+use crossbeam::channel::Receiver;
 use depth_camera::{CameraInfo, Frame, Sensor};
 use std::path::PathBuf;
 
@@ -64,6 +66,20 @@ impl FusionStage {
             Command::Finish | Command::Abandon => {}
         }
         self.tell_standing(None);
+    }
+
+    /// Does what was asked for before capture ended. Who asks from now on is refused.
+    pub(super) fn obey_last(&mut self, commands: &Receiver<Command>) {
+        self.status.update(|status| status.phase = Phase::Meshing);
+        for command in commands.try_iter() {
+            match command {
+                Command::Refine => self.refuse(
+                    "refine",
+                    "capture has ended: the whole scan can be refined".to_owned(),
+                ),
+                _ => self.obey(command),
+            }
+        }
     }
 
     fn refuse(&self, command: &'static str, reason: String) {

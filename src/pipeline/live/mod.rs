@@ -3,15 +3,13 @@
 //! Every slot holds its newest value; who reads shares it and never makes anybody wait. Reading a slot says that somebody
 //! looks: the fusion thread fills it for the next two seconds.
 
-mod slot;
-
 pub(super) mod next_view;
 pub(super) mod preview;
 pub(super) mod snapshot_list;
 pub(super) mod surface;
 
 use crate::geometry::Pose;
-pub(super) use slot::Slot;
+pub(super) use handover::Slot;
 use std::{path::PathBuf, sync::Arc};
 
 /// An image of 8 bits a pixel, for the eye.

@@ -1,7 +1,8 @@
 //! A place for the newest value of something, which knows whether anybody looks.
 
+use crate::{lock, sync::Mutex};
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -73,17 +74,24 @@ impl<T> Slot<T> {
     }
 
     fn with<R>(&self, f: impl FnOnce(&mut Inner<T>) -> R) -> R {
-        // Values are put whole: one that a panic left behind is as good as any.
-        f(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        f(&mut lock(&self.0))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::in_many_orders;
+    use shuttle::{check_random, thread};
+
+    const NEWEST: u32 = 4;
 
     #[test]
     fn a_value_is_due_only_while_somebody_looks_and_not_too_often() {
+        check_random(becomes_due, 1);
+    }
+
+    fn becomes_due() {
         let slot = Slot::default();
         assert!(!slot.is_due(Duration::ZERO));
         assert_eq!(slot.read(), None);
@@ -97,6 +105,10 @@ mod tests {
 
     #[test]
     fn only_the_newest_value_is_held() {
+        check_random(is_held, 1);
+    }
+
+    fn is_held() {
         let slot = Slot::default();
         slot.write(Some(1));
         let held = slot.read().unwrap();
@@ -105,5 +117,71 @@ mod tests {
         assert_eq!(slot.clone().read().as_deref(), Some(&2));
         slot.write(None);
         assert_eq!(slot.read(), None);
+    }
+
+    /// Reads until the newest value is there; what is read never grows older.
+    fn look_on(slot: &Slot<u32>) {
+        let mut before = None;
+        while before != Some(NEWEST) {
+            let seen = slot.read().map(|value| *value);
+            assert!(seen >= before, "{seen:?} after {before:?}");
+            before = seen;
+            thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn all_who_look_on_see_the_newest_value_and_none_that_is_older_than_the_last() {
+        in_many_orders(|| {
+            let slot = Slot::default();
+            let looking = [slot.clone(), slot.clone()]
+                .map(|slot: Slot<u32>| thread::spawn(move || look_on(&slot)));
+            for value in 0..=NEWEST {
+                slot.write(Some(value));
+            }
+            for thread in looking {
+                thread.join().unwrap();
+            }
+        });
+    }
+
+    #[test]
+    fn who_looks_is_served_by_a_writer_that_writes_for_those_who_look_alone() {
+        in_many_orders(|| {
+            let slot = Slot::default();
+            let of_writer = slot.clone();
+            let writing = thread::spawn(move || {
+                while !of_writer.is_due(Duration::ZERO) {
+                    thread::yield_now();
+                }
+                of_writer.write(Some(NEWEST));
+            });
+            look_on(&slot);
+            writing.join().unwrap();
+        });
+    }
+
+    /// A value that, when it is freed, looks at the slot in which it was.
+    struct Curious(Slot<Curious>);
+
+    impl Drop for Curious {
+        fn drop(&mut self) {
+            self.0.is_watched();
+        }
+    }
+
+    #[test]
+    fn nobody_waits_while_an_old_value_is_freed() {
+        in_many_orders(|| {
+            let slot = Slot::default();
+            let reader = slot.clone();
+            let reading = thread::spawn(move || drop(reader.read()));
+            for _ in 0..2 {
+                slot.write(Some(Curious(slot.clone())));
+            }
+            // Else slot and value would hold one another.
+            slot.write(None);
+            reading.join().unwrap();
+        });
     }
 }

@@ -1,0 +1,134 @@
+//! How fusion ends, whatever frames and commands are on their way to it when capture ends.
+
+use super::*;
+use crate::{
+    capture::{EventKind, Tracked},
+    pipeline::{
+        command::Command,
+        edges::{self, WhenFull},
+        event_log::EventLog,
+        status::{Phase, Status},
+        threads::pool,
+    },
+    shading::Calibration,
+};
+use crossbeam::channel::TryRecvError;
+use depth_camera::DepthCamera;
+use proptest::{collection::vec, prelude::*, sample::select};
+use simulated::SimulatedCamera;
+use std::{num::NonZeroUsize, sync::LazyLock, time::Instant};
+
+static INFO: LazyLock<CameraInfo> =
+    LazyLock::new(|| SimulatedCamera::kinect1_plaque(1, 0).info().clone());
+
+/// Commands that are told of by an event of their own, whatever becomes of them.
+const COMMANDS: [Command; 5] = [
+    Command::Pause,
+    Command::Resume,
+    Command::Undo { secs: 2.0 },
+    Command::Refine,
+    Command::Reset,
+];
+
+fn setup(stop: &StopToken, status: &StatusSlot, surfaces: Sender<SurfaceUpdate>) -> FusionSetup {
+    let info = INFO.clone();
+    let (fusion, calibration) = (FusionParams::default(), Calibration::shipped_for(&info));
+    FusionSetup {
+        correction: DepthCorrection::new(&info, &calibration.unwrap(), false, &fusion),
+        info,
+        fusion,
+        infrared: None,
+        snapshot: SnapshotParams::default(),
+        poses: None,
+        pool: pool("track", NonZeroUsize::MIN).unwrap(),
+        status: status.clone(),
+        live: Live::default(),
+        surfaces,
+        folder: PathBuf::from("nothing is written here"),
+        shading: None,
+        stop: stop.clone(),
+    }
+}
+
+fn frame(frame_id: u64) -> Arc<Frame> {
+    Arc::new(Frame {
+        frame_id,
+        device_time_secs: frame_id as f64,
+        host_time: Instant::now(),
+        depth: None,
+        ir: None,
+    })
+}
+
+/// The command that an event tells of.
+fn command_of(kind: EventKind) -> Option<&'static str> {
+    match kind {
+        EventKind::Paused => Some("pause"),
+        EventKind::Resumed => Some("resume"),
+        EventKind::Reset => Some("reset"),
+        EventKind::Refused { command, .. } => Some(command),
+        _ => None,
+    }
+}
+
+fn name(command: &Command) -> &'static str {
+    match command {
+        Command::Pause => "pause",
+        Command::Resume => "resume",
+        Command::Undo { .. } => "undo",
+        Command::Refine => "refine",
+        _ => "reset",
+    }
+}
+
+/// Runs fusion on what is on its way while both ends of capture are gone: the status it leaves, and the commands it told of.
+fn run_with(n_frames: u64, commands: &[Command], stop: &StopToken) -> (Status, Vec<&'static str>) {
+    let status = StatusSlot::default();
+    let (frames_in, frames_out) = edges::frames(WhenFull::Block, &status);
+    let (commands_in, commands_out) = edges::commands();
+    let (tracked_in, tracked_out) = edges::tracked(&EventLog::default());
+    let (surfaces_in, _surfaces) = edges::surfaces();
+    let (scans_in, scans_out) = edges::scans();
+    for frame_id in 0..n_frames {
+        assert!(frames_in.send(frame(frame_id)));
+    }
+    for command in commands {
+        commands_in.try_send(*command).unwrap();
+    }
+    drop(frames_in);
+    let setup = setup(stop, &status, surfaces_in);
+    run(setup, frames_out, &commands_out, tracked_in, scans_in);
+    // Whoever waits for a scan learns that there is none.
+    assert_eq!(
+        scans_out.try_recv().unwrap_err(),
+        TryRecvError::Disconnected
+    );
+    let told = tracked_out.iter().filter_map(|tracked| match tracked {
+        Tracked::Event(event) => command_of(event.kind),
+        _ => None,
+    });
+    (status.get(), told.collect())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn frames_on_their_way_are_accounted_for_and_commands_are_obeyed_or_refused(
+        n_frames in 0..=4u64,
+        commands in vec(select(&COMMANDS[..]), 0..=8),
+        is_stopped in any::<bool>(),
+    ) {
+        let stop = StopToken::default();
+        if is_stopped {
+            stop.stop();
+        }
+        let (status, told) = run_with(n_frames, &commands, &stop);
+        prop_assert_eq!(told, commands.iter().map(name).collect::<Vec<_>>());
+        let accounts = status.frames;
+        let handled = if is_stopped { 0 } else { n_frames };
+        prop_assert_eq!((accounts.handled(), accounts.dropped), (handled, n_frames - handled));
+        prop_assert_eq!((accounts.in_flight, accounts.unaccounted()), (0, 0));
+        prop_assert_eq!((status.phase, status.state), (Phase::Meshing, State::Draining));
+    }
+}
