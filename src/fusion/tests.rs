@@ -255,7 +255,7 @@ fn beyond_the_memory_budget_frames_are_tracked_and_the_refusal_is_told() {
     let (frames, _, camera) = frames(4);
     let params = FusionParams {
         voxel_size_m: 0.001,
-        memory_budget_mb: 64,
+        memory_budget_mb: 32,
         ..FusionParams::default()
     };
     let mut fusion = Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params);
@@ -267,9 +267,9 @@ fn beyond_the_memory_budget_frames_are_tracked_and_the_refusal_is_told() {
             "{outcome:?}"
         );
     }
-    assert!(fusion.memory_bytes() - table_bytes <= 64 << 20);
+    assert!(fusion.memory_bytes() - table_bytes <= 32 << 20);
     let refusal = fusion.refusal().expect("1 mm voxels do not fit");
-    assert!(refusal.contains("fusion.memory_budget_mb, 64"), "{refusal}");
+    assert!(refusal.contains("fusion.memory_budget_mb, 32"), "{refusal}");
 }
 
 #[test]
