@@ -307,7 +307,7 @@ mod tests {
         // A step from 0.8 m to 1 m, and on it a column of pixels at every depth between.
         for (pixel, depth) in frame.depth.iter_mut().enumerate() {
             let (u, v) = (pixel % width, pixel / width);
-            *depth = match u.cmp(&(width / 2 | 1)) {
+            *depth = match u.cmp(&(width / 2 + 1)) {
                 std::cmp::Ordering::Less => 0.8,
                 std::cmp::Ordering::Equal => 0.85 + 0.1 * v as f32 / frame.rays.height as f32,
                 std::cmp::Ordering::Greater => 1.0,
