@@ -276,6 +276,18 @@ mod tests {
             );
             assert!(triangles(&live.mesh()) == triangles(&fusion.mesh()));
             assert!(live.mesh().faces.len() > 10_000);
+            // No patch holds the room of what it was.
+            for SurfacePatch { mesh, rim } in live.patches() {
+                let rooms = [
+                    (mesh.vertices.capacity(), mesh.vertices.len()),
+                    (mesh.faces.capacity(), mesh.faces.len()),
+                    (rim.capacity(), rim.len()),
+                ];
+                assert!(
+                    rooms.iter().all(|&(room, n)| room <= n + n / 4),
+                    "{rooms:?}"
+                );
+            }
         }
     }
 
