@@ -49,7 +49,7 @@ impl Default for ImageTrust {
             model_error: 0.01,
             misregistration_px: 0.4,
             gain_cell_m: 0.08,
-            max_slow_gain: 0.025,
+            max_slow_gain: 0.032,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What of a scan is delivered: the object alone, closed, and with its poses put right.
 
-use crate::support::{Workbench, assert_says, small_camera, summary};
+use crate::support::{Workbench, assert_says, record, small_camera, summary};
 use relief::{export::read_ply, geometry::EdgeAdjacency};
 use std::fs;
 
@@ -37,12 +37,14 @@ fn a_crop_without_surface_delivers_the_whole_scene_and_says_so() {
 
 #[test]
 fn given_poses_are_polished_on_request() {
-    let workbench = Workbench::with_frames(3);
+    // Where a pixel is 6 mm wide rims are all that holds the plaque in its plane, and they find no model.
+    let workbench = Workbench::empty();
+    record(small_camera(3, 2), &workbench.session());
     let poses = workbench.path("poses.txt");
     let list = fs::read_to_string(workbench.session().join("depth.txt")).unwrap();
     let rows = list.lines().filter(|line| !line.starts_with('#'));
     let times = rows.filter_map(|line| line.split_whitespace().next());
-    let camera = small_camera(3, 4);
+    let camera = small_camera(3, 2);
     let first = camera.true_world_from_camera(0).inverse();
     // The last pose is 0.1 m too near, where nothing fits; it is not put right.
     let row = |(i, time): (usize, &str)| {

@@ -111,6 +111,7 @@ fn scan(camera: Box<dyn DepthCamera>, out: &Path) {
     assert_eq!(outcome.failures, Vec::<String>::new());
     assert_eq!(outcome.ending, Ending::Complete);
     assert_eq!(outcome.report.frames.fused, N_FRAMES as u64);
+    assert_eq!(outcome.report.not_refined_reason, None);
 }
 
 #[test]
