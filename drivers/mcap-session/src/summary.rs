@@ -91,9 +91,12 @@ pub fn own_definitions(serial: &str) -> Vec<((u8, u16), Vec<u8>)> {
     records
 }
 
-/// A header record of exactly `length` bytes, if that is enough for one.
+/// A header record of exactly `length` bytes, if that is enough for one that tells whose it is.
 pub fn header(length: u64) -> Option<Vec<u8>> {
     let library = usize::try_from(length).ok()?.checked_sub(9 + 4 + 4 + 4)?;
+    if library < LIBRARY.len() {
+        return None;
+    }
     let mut body = Body::default();
     body.text(PROFILE);
     let name = format!("{LIBRARY}repaired");

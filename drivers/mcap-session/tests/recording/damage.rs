@@ -95,6 +95,24 @@ fn header_and_definitions_may_both_be_lost() {
 }
 
 #[test]
+fn a_header_that_bytes_are_missing_from_is_mended_or_passed_over() {
+    let original = Original::new();
+    let header = mcap::MAGIC.len();
+    let (length, _) = original.bytes[header + 1..].split_at(8);
+    let n_bytes = 9 + u64::from_le_bytes(length.try_into().unwrap()) as usize;
+    for n_missing in 1..n_bytes {
+        let mut bytes = original.bytes.clone();
+        bytes.drain(header + n_bytes - n_missing..header + n_bytes);
+        let folder = original.with_bytes(&bytes, State::Closed);
+        let note = repair(&folder).unwrap().unwrap();
+        assert_eq!(note.frames_recovered, N_FRAMES, "{n_missing} missing");
+        assert_eq!(n_problems(&folder), 0, "{n_missing} missing");
+        let played = play(&folder).unwrap();
+        assert_eq!(played.frames.len() as u64, N_FRAMES, "{n_missing} missing");
+    }
+}
+
+#[test]
 fn a_segment_that_is_missing_is_found_and_the_others_are_played() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a");
