@@ -71,7 +71,7 @@ impl Default for FusionParams {
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
             depth_field: true,
-            max_revisions: 2,
+            max_revisions: 3,
             use_infrared: true,
             polish: PolishParams::default(),
             loop_closing: LoopClosingParams::default(),

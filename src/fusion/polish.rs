@@ -5,7 +5,8 @@
 //! since each of them is held by its own pose.
 
 use super::{
-    Fit, Fusion, FusionStep, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome, align, gates, icp,
+    Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome, align,
+    gates, icp,
 };
 use crate::geometry::{Pose, motion_between};
 use depth_camera::Image;
@@ -59,17 +60,44 @@ impl Fusion {
         time_secs: f64,
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
+        let outcome = self.fuse_polished(depth, time_secs, world_from_camera);
+        if let TrackingOutcome::Tracked { fit: None, .. } = outcome {
+            // Before the first frame there is nothing to lie on.
+            self.n_unpolished += usize::from(self.n_fused > 1);
+        }
+        outcome
+    }
+
+    /// Fuses a frame of another model once more, with its depth (m) corrected otherwise, where it lies best on this one near
+    /// where it is now known to lie, or there, and keeps it for closing loops as if it had been tracked.
+    pub fn fuse_anew(
+        &mut self,
+        depth: &Image<f32>,
+        frame: &Keyframe,
+        world_from_camera: &Pose,
+    ) -> TrackingOutcome {
+        self.stretch = frame.stretch;
+        let outcome = self.fuse_polished(depth, frame.time_secs, world_from_camera);
+        if let TrackingOutcome::Tracked { fit, .. } = &outcome {
+            self.remember(fit.as_ref());
+        }
+        outcome
+    }
+
+    fn fuse_polished(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        given: &Pose,
+    ) -> TrackingOutcome {
         if !self.eye.take(depth) {
             return TrackingOutcome::NoDepth;
         }
         let on_step: &mut OnStep = &mut |_: FusionStep| {};
-        let polished = self.polish(world_from_camera, on_step);
-        let (pose, fit) = match polished {
+        let (pose, fit) = match self.polish(given, on_step) {
             Ok((pose, fit)) => (pose, Some(fit)),
-            Err(_) => (*world_from_camera, None),
+            Err(_) => (*given, None),
         };
-        // Before the first frame there is nothing to lie on.
-        self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 0);
         self.accept(pose, time_secs, on_step);
         TrackingOutcome::Tracked {
             world_from_camera: pose,

@@ -127,6 +127,21 @@ impl CellGrid {
         cells.into_iter().map(Option::unwrap_or_default).collect()
     }
 
+    /// A cell and those that touch it, nine but for the image's border.
+    pub fn beside(&self, cell: usize) -> impl Iterator<Item = usize> {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        let columns = column.saturating_sub(1)..(column + 2).min(self.columns);
+        let rows = row.saturating_sub(1)..(row + 2).min(self.rows);
+        let n_columns = self.columns;
+        rows.flat_map(move |row| columns.clone().map(move |column| row * n_columns + column))
+    }
+
+    /// The cell of a pixel; `None` in what is left over at the border.
+    pub fn cell_of(&self, (u, v): (usize, usize)) -> Option<usize> {
+        let (column, row) = (u / self.cell_px, v / self.cell_px);
+        (column < self.columns && row < self.rows).then(|| row * self.columns + column)
+    }
+
     /// Indices of the four neighbours, some of which may lie below the last row.
     fn neighbours(&self, index: usize) -> impl Iterator<Item = usize> {
         let column = index % self.columns;
@@ -179,6 +194,21 @@ mod tests {
         let around = cells.around(&place).into_iter();
         let mixed: f32 = around.map(|(cell, share)| values[cell] * share).sum();
         assert!((mixed - image.at(123, 77)).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_pixel_lies_in_its_cell_and_a_cell_touches_those_around_it() {
+        let cells = CellGrid::new(43, 24, 4);
+        assert_eq!((cells.columns(), cells.rows()), (4, 2));
+        for cell in 0..cells.n_cells() {
+            assert_eq!(cells.cell_of(cells.middle(cell)), Some(cell));
+        }
+        assert_eq!(
+            (cells.cell_of((40, 3)), cells.cell_of((3, 20))),
+            (None, None)
+        );
+        assert_eq!(cells.beside(0).collect::<Vec<_>>(), [0, 1, 4, 5]);
+        assert_eq!(cells.beside(6).collect::<Vec<_>>(), [1, 2, 3, 5, 6, 7]);
     }
 
     #[test]

@@ -55,7 +55,12 @@ impl LitScene {
     where
         T: Copy + Into<f64> + Send + Sync,
     {
-        let patches = grid.patches(depth_m, ir_counts);
+        Self::of_radiances(grid, depth_m, &grid.radiances(depth_m, ir_counts))
+    }
+
+    /// Cuts a depth image (metres, 0 is none) into patches whose [`PatchGrid::radiances`] are known.
+    pub fn of_radiances(grid: &PatchGrid, depth_m: &Image<f32>, radiances: &[f32]) -> Self {
+        let patches = grid.patches(depth_m, radiances);
         let beyond = support::beyond_the_image(&patches, grid);
         LitScene { patches, beyond }
     }

@@ -4,7 +4,9 @@
 //! it has come over a neighbouring surface (Fuchs, *Multipath interference compensation in time-of-flight camera images*,
 //! ICPR 2010; Jiménez et al., *Modelling and correction of multipath interference in time of flight cameras*, 2012). On the
 //! recorded bust that is 12 mm at the foot and nothing on top of the head. One infrared image and its depth hold what is
-//! needed to predict it: how bright every neighbour is as seen, and where it is (`bounce.rs`). Unknown is one number,
+//! needed to predict it: how bright every neighbour is as seen, and where it is (`bounce.rs`). The bias is that light over the
+//! direct one, which falls where light comes in slantingly: one frame's depth tells the surface's slant no finer than by patches of
+//! 16 pixels, a fused model by 4 ([`Multipath::predict_on`]). Unknown is one number,
 //! how bright a perfectly white surface would be ([`WhiteLevel`]): it belongs to the device, and shows itself in a scan by how
 //! views of one place disagree ([`Evidence`]).
 //!
@@ -20,7 +22,7 @@ mod search;
 pub use evidence::{Evidence, Seen};
 pub use params::MultipathParams;
 pub use range_bias::RangeBias;
-pub use search::WhiteSearch;
+pub use search::{NextWhite, WhiteSearch};
 
 #[cfg(test)]
 mod tests;
@@ -48,6 +50,8 @@ pub struct Multipath {
 pub struct Prediction {
     /// How far too long every range is, for any [`WhiteLevel`].
     pub bias: RangeBias,
+    /// How bright the image's patches are.
+    radiances: Vec<f32>,
     /// The white level if the frame's brightest surfaces are plaster.
     pub plausible_white: WhiteLevel,
 }
@@ -67,13 +71,33 @@ impl Multipath {
     /// Predicts the multipath of a frame; `None` if it lacks an image or shows next to nothing.
     pub fn predict(&self, frame: &Frame) -> Option<Prediction> {
         let (depth, ir) = (frame.depth.as_ref()?, frame.ir.as_ref()?);
-        let scene = LitScene::new(&self.grid, depth, ir);
+        let radiances = self.grid.radiances(depth, ir);
+        let scene = LitScene::of_radiances(&self.grid, depth, &radiances);
         let plausible_white = scene.plausible_white()?;
         let bounces = bounce::bounces(scene.patches(), &scene.sources());
         Some(Prediction {
             bias: RangeBias::new(self.grid.cells(), &bounces),
+            radiances,
             plausible_white,
         })
+    }
+
+    /// Predicts the multipath of a frame once more, and four times as finely, where the surface is known: `normal_at` gives it
+    /// near a point, both in the camera frame, `depth_m` is the frame's depth (m) and `prediction` what it told by itself.
+    pub fn predict_on(
+        &self,
+        depth_m: &Image<f32>,
+        prediction: &Prediction,
+        normal_at: impl Fn(&Point3<f64>) -> Option<Vector3<f64>> + Sync,
+    ) -> RangeBias {
+        let scene = LitScene::of_radiances(&self.grid, depth_m, &prediction.radiances);
+        let (cells, receivers) = self.grid.receivers(depth_m, normal_at);
+        RangeBias::new(cells, &bounce::bounces(&receivers, &scene.sources()))
+    }
+
+    /// A bias that was predicted finely, by the patches that views are compared by.
+    pub fn by_patches(&self, bias: &RangeBias) -> RangeBias {
+        bias.coarsened(self.grid.cells())
     }
 
     /// Compares the views of a scan that was fused with the multipath of `white`; `signed_distance` gives distance (m, positive

@@ -16,8 +16,9 @@ pub struct RangeBias {
     is_measured: Vec<bool>,
 }
 
-/// No bias is taken to be larger than this, metres: in the contact of two surfaces patches are no points any more.
-const MAX_BIAS_M: f32 = 0.015;
+/// No bias is taken to be larger than this, metres: in the contact of two surfaces patches are no points any more. What faces
+/// a table away from the light has 30 mm.
+const MAX_BIAS_M: f32 = 0.04;
 
 impl Bounce {
     /// Mean range of direct and bounced light beyond the direct one, metres: `s b/(1 + s w)` with s = 1/(π white).
@@ -51,6 +52,23 @@ impl RangeBias {
     /// What the patch at an index receives; `None` where nothing was measured.
     pub(super) fn measured(&self, cell: usize) -> Option<&Bounce> {
         self.is_measured[cell].then(|| &self.bounces[cell])
+    }
+
+    /// The same on cells of which each holds several of these: the mean of what was measured in it.
+    pub(super) fn coarsened(&self, cells: CellGrid) -> RangeBias {
+        let mut sums = vec![(Bounce::default(), 0u32); cells.n_cells()];
+        for (fine, bounce) in self.bounces.iter().enumerate() {
+            if let Some(coarse) = cells.cell_of(self.cells.middle(fine))
+                && self.is_measured[fine]
+            {
+                let (sum, n) = &mut sums[coarse];
+                *sum = *sum + *bounce;
+                *n += 1;
+            }
+        }
+        let mean = |(sum, n): &(Bounce, u32)| (*n > 0).then(|| *sum * (1.0 / *n as f32));
+        let means: Vec<Option<Bounce>> = sums.iter().map(mean).collect();
+        RangeBias::new(cells, &means)
     }
 
     /// A depth image whose bias is changed from that of one white level to that of another, bilinear between the patches.

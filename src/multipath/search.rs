@@ -14,6 +14,15 @@ pub struct WhiteSearch {
     sigma: f64,
 }
 
+/// The white level at which the views of a scan should agree better.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NextWhite {
+    /// The white level; `None` is no multipath.
+    pub white: Option<WhiteLevel>,
+    /// Whether the one before it will do: the scan need not be fused again for it.
+    pub will_do: bool,
+}
+
 /// How far a plausible strength may be off, as a share: albedos of 0.4 to 0.8 are taken for 0.6.
 const PLAUSIBLE_SIGMA: f64 = 0.35;
 /// Disagreement of views that has other causes and looks like multipath all the same, metres: what sensors do at slanting
@@ -43,12 +52,8 @@ impl WhiteSearch {
     }
 
     /// Takes in what a scan tells that was fused with a white level, and gives the one to fuse it with next: where plausibility
-    /// and views, each weighed by what it may be off, agree best. `None` if this one will do.
-    pub fn next(
-        &mut self,
-        white: Option<WhiteLevel>,
-        evidence: Evidence,
-    ) -> Option<Option<WhiteLevel>> {
+    /// and views, each weighed by what it may be off, agree best.
+    pub fn next(&mut self, white: Option<WhiteLevel>, evidence: Evidence) -> NextWhite {
         let here = strength(white);
         let before = self.tried.replace((here, evidence));
         let shown = before.map_or(SHOWN_SHARE, |(there, evidence_there)| {
@@ -63,8 +68,10 @@ impl WhiteSearch {
             / (told_weight + plausible_weight);
         self.sigma = (told_weight + plausible_weight).sqrt().recip();
         let next = next.max(0.0);
-        let is_known = (next - here).abs() <= TOLERANCE * here.max(next);
-        (!is_known).then(|| WhiteLevel::of_strength(next))
+        NextWhite {
+            white: WhiteLevel::of_strength(next),
+            will_do: (next - here).abs() <= TOLERANCE * here.max(next),
+        }
     }
 }
 
@@ -89,10 +96,11 @@ mod tests {
         let mut search = WhiteSearch::from(start);
         let mut white = Some(start);
         for _ in 0..4 {
-            match search.next(white, told(white, truth, shown, predicted_m)) {
-                Some(next) => white = next,
-                None => break,
+            let next = search.next(white, told(white, truth, shown, predicted_m));
+            if next.will_do {
+                break;
             }
+            white = next.white;
         }
         strength(white)
     }

@@ -177,6 +177,81 @@ fn the_foot_of_a_ball_looks_farther_away_than_its_top_and_correction_undoes_itse
 }
 
 #[test]
+fn on_a_known_surface_the_slanting_side_of_a_ball_is_predicted_as_by_dense_patches() {
+    let scene = Scene::new();
+    let multipath = Multipath::new(&scene.info, &scene.calibration).expect("time of flight");
+    let pose = Scene::poses()[5];
+    let (eye, to_camera) = (pose.translation.vector, pose.inverse());
+    let frame = scene.frame(&pose);
+    let depth = frame.depth.as_ref().expect("given");
+    let prediction = multipath.predict(&frame).expect("much is seen");
+    let lit = |world: Vector3<f64>, normal: Vector3<f64>, area_m2: f64| {
+        let (point, normal) = (to_camera * Point3::from(world), to_camera * normal);
+        let patch = multipath.grid.lit(&point, &normal, area_m2, 0.0)?;
+        let radiance = WHITE.0 as f32 * ALBEDO as f32 * patch.direct;
+        Some(Lit { radiance, ..patch })
+    };
+    // The table in squares of a centimetre, where the ball does not stand before it.
+    let steps = || (-70..70).map(|k| 0.01 * (f64::from(k) + 0.5));
+    let squares = steps().flat_map(|x| steps().map(move |y| Vector3::new(x, y, 0.0)));
+    let is_seen =
+        |square: &Vector3<f64>| hit(&eye, &(square - eye)).is_some_and(|(reach, _)| reach > 0.999);
+    let table = squares.filter(is_seen);
+    let table: Vec<Lit> = table
+        .filter_map(|square| lit(square, Vector3::z(), 1e-4))
+        .collect();
+    let dense = Sources::new(table.iter());
+
+    let on_model = multipath.predict_on(depth, &prediction, |point| {
+        let ball = pose * point - Point3::new(0.0, 0.0, RADIUS_M);
+        let normal = if ball.norm() < 1.05 * RADIUS_M {
+            unit(ball)
+        } else {
+            Vector3::z()
+        };
+        Some(to_camera * normal)
+    });
+    let rays = RayGrid::new(distorted_camera());
+    let longer = [&prediction.bias, &on_model]
+        .map(|bias| multipath.corrected(depth, bias, Some(WHITE), None));
+    let mut errors = [Vec::new(), Vec::new()];
+    for (u, v) in (100..324)
+        .step_by(3)
+        .flat_map(|v| (100..412).step_by(3).map(move |u| (u, v)))
+    {
+        let ray: Vector3<f64> = rays.direction(u, v).cast();
+        let Some((z, normal)) = hit(&eye, &(pose * ray)) else {
+            continue;
+        };
+        let point = eye + (pose * ray) * z;
+        let cosine = normal.dot(&unit(eye - point));
+        if point.z < 0.02 || !(0.25..0.6).contains(&cosine) {
+            continue;
+        }
+        let receiver = lit(point, normal, 0.0).expect("before the light");
+        let expected = bounces(&[Some(receiver)], &dense)[0]
+            .expect("lit")
+            .bias_m(Some(WHITE));
+        if expected < 2e-3 {
+            continue;
+        }
+        for (errors, longer) in errors.iter_mut().zip(&longer) {
+            let found = (longer.at(u, v) - depth.at(u, v)) * ray.norm() as f32;
+            errors.push((found / expected - 1.0).abs());
+        }
+    }
+    let [by_patches, on_model] = errors.map(|mut errors| {
+        assert!(errors.len() > 100, "{}", errors.len());
+        errors.sort_by(f32::total_cmp);
+        errors[errors.len() / 2]
+    });
+    assert!(
+        on_model < 0.1 && by_patches > 2.0 * on_model,
+        "on the model {on_model}, by patches {by_patches}"
+    );
+}
+
+#[test]
 fn views_of_a_biased_scan_tell_that_there_is_multipath_and_corrected_ones_that_there_is_none() {
     let scene = Scene::new();
     let multipath = Multipath::new(&scene.info, &scene.calibration).expect("time of flight");

@@ -1,14 +1,13 @@
-//! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, when the scan
-//! itself has told more, once more at its end.
+//! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
+//! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 
 use crate::{
     fusion::{
-        DepthField, DepthNoise, Fusion, FusionParams, GoesOn, Keyframe, PoseCorrection,
-        TrackingOutcome,
+        DepthField, DepthNoise, Fusion, FusionParams, GoesOn, PoseCorrection, TrackingOutcome,
     },
     geometry::{CameraModel, Pose, RayGrid},
     interreflection::WhiteLevel,
-    multipath::{Evidence, Multipath, RangeBias, Seen, WhiteSearch},
+    multipath::{Evidence, Multipath, Prediction, RangeBias, Seen, WhiteSearch},
     shading::Calibration,
 };
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
@@ -26,7 +25,7 @@ pub struct DepthCorrection {
     /// Whether the device's calibration tells it.
     is_measured: bool,
     /// Predicted multipath of the frames, by time in nanoseconds of the device's clock.
-    biases: BTreeMap<i64, RangeBias>,
+    predictions: BTreeMap<i64, Prediction>,
 }
 
 /// A scan fused again with its depth corrected otherwise.
@@ -35,7 +34,15 @@ pub struct Revised {
     pub fusion: Fusion,
     /// How far every pose is moved, by time.
     pub correction: PoseCorrection,
+    known: Known,
+}
+
+/// What is taken off the depth of a scan.
+#[derive(Clone)]
+struct Known {
+    /// `None` is no multipath.
     white: Option<WhiteLevel>,
+    /// `None` is no slow error.
     field: Option<DepthField>,
 }
 
@@ -60,14 +67,15 @@ pub struct MeasuredWhite {
 
 /// Most frames whose views are compared at the end of a scan.
 const MAX_VIEWS: usize = 60;
+/// The first so many revisions free depth of multipath on the model, whatever the views tell: the first model still shows what the
+/// live prediction left.
+const MODEL_ROUNDS: usize = 2;
 /// A revision that loses more than this share of the frames is not used.
 const MAX_LOST_SHARE: f64 = 0.05;
-/// Where frames are missing for longer, seconds, another place may follow.
-const MAX_GAP_SECS: f64 = 0.2;
 /// A field that changes by less, metres at a metre, is not worth fusing again.
 const MIN_FIELD_M: f64 = 1e-4;
 /// Predictions are thinned out to those of the frames that fusion still holds when there are so many more; arbitrary.
-const MAX_SPARE_BIASES: usize = 256;
+const MAX_SPARE_PREDICTIONS: usize = 256;
 
 impl DepthCorrection {
     /// A correction for a camera with its calibration, for a scan that is fused with `fusion`.
@@ -86,7 +94,7 @@ impl DepthCorrection {
             multipath: multipath.flatten(),
             live: measured.map(WhiteLevel),
             is_measured: measured.is_some(),
-            biases: BTreeMap::new(),
+            predictions: BTreeMap::new(),
         }
     }
 
@@ -95,9 +103,9 @@ impl DepthCorrection {
         let multipath = self.multipath.as_ref()?;
         let prediction = multipath.predict(frame)?;
         self.live.get_or_insert(prediction.plausible_white);
-        let bias = prediction.bias;
-        let depth = multipath.corrected(frame.depth.as_ref()?, &bias, None, self.live);
-        self.biases.insert(nanos(frame.device_time_secs), bias);
+        let depth = multipath.corrected(frame.depth.as_ref()?, &prediction.bias, None, self.live);
+        self.predictions
+            .insert(nanos(frame.device_time_secs), prediction);
         Some(Frame {
             frame_id: frame.frame_id,
             device_time_secs: frame.device_time_secs,
@@ -110,9 +118,9 @@ impl DepthCorrection {
     /// Forgets the predictions of frames that fusion does not hold any more.
     pub fn thin_out(&mut self, fusion: &Fusion) {
         let frames = fusion.keyframes();
-        if self.biases.len() > frames.len() + MAX_SPARE_BIASES {
+        if self.predictions.len() > frames.len() + MAX_SPARE_PREDICTIONS {
             let held: BTreeSet<i64> = frames.iter().map(|frame| nanos(frame.time_secs)).collect();
-            self.biases.retain(|time, _| held.contains(time));
+            self.predictions.retain(|time, _| held.contains(time));
         }
     }
 
@@ -127,8 +135,8 @@ impl DepthCorrection {
         let fused_again = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
         let white = revised
             .as_ref()
-            .map_or(self.live, |revised| revised.white)?;
-        let evidence = evidence.or_else(|| self.evidence(fused_again, Some(white), None))?;
+            .map_or(self.live, |revised| revised.known.white)?;
+        let evidence = evidence.or_else(|| self.evidence(fused_again, Some(white)))?;
         Some(MeasuredWhite {
             white,
             relative_sigma: search?.relative_sigma(white),
@@ -136,8 +144,10 @@ impl DepthCorrection {
         })
     }
 
-    /// Compares the views of a fused scan with its model, and fuses it again as long as that tells of errors that were not
-    /// taken off. `None` if it stays as it is; as soon as `goes_on` says no, what was fused again in whole counts.
+    /// Fuses a scan again as long as it tells of errors that were not taken off: multipath at least twice, for a model tells
+    /// the slant of the surface better than single frames do, and what was fused on one is a better one; after that its views tell
+    /// how strong it is. `None` if it stays as
+    /// it is; as soon as `goes_on` says no, what was fused again in whole counts.
     pub fn revise(&self, fusion: &Fusion, goes_on: &GoesOn) -> Option<Revised> {
         self.settled(fusion, goes_on).revised
     }
@@ -146,26 +156,38 @@ impl DepthCorrection {
         let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
-        for _ in 0..self.fusion.max_revisions {
+        for round in 0..self.fusion.max_revisions {
             if !goes_on() {
                 break;
             }
-            let white = revised.as_ref().map_or(self.live, |revised| revised.white);
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
-            let field = self.field(current);
-            told = self.evidence(current, white, field.as_ref());
-            let next_white = told
-                .zip(search.as_mut())
-                .and_then(|(evidence, search)| search.next(white, evidence));
-            if field.is_none() && next_white.is_none() {
+            let mut known = revised.as_ref().map_or_else(
+                || Known {
+                    white: self.live,
+                    field: None,
+                },
+                |revised| revised.known.clone(),
+            );
+            let mut has_more = self.live.is_some() && round < MODEL_ROUNDS;
+            if let Some(further) = self.field(current) {
+                has_more = true;
+                known.field = Some(match &known.field {
+                    Some(before) => before.plus(&further),
+                    None => further,
+                });
+            }
+            if revised.is_some() {
+                told = self.evidence(current, known.white);
+                if let Some((evidence, search)) = told.zip(search.as_mut()) {
+                    let next = search.next(known.white, evidence);
+                    has_more |= !next.will_do;
+                    known.white = next.white;
+                }
+            }
+            if !has_more {
                 break;
             }
-            let change = Change {
-                from: white,
-                to: next_white.unwrap_or(white),
-                field,
-            };
-            match self.fuse_again(current, change, revised.as_ref(), goes_on) {
+            match self.fuse_again(fusion, revised.as_ref(), known, goes_on) {
                 Some(again) => (revised, told) = (Some(again), None),
                 None => break,
             }
@@ -177,41 +199,52 @@ impl DepthCorrection {
         }
     }
 
-    /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows.
+    /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows;
+    /// `world_from_camera` is where the revision has it.
     pub fn revised_depth(
         &self,
         depth_m: &Image<f32>,
         time_secs: f64,
+        world_from_camera: &Pose,
         revised: &Revised,
     ) -> Image<f32> {
-        let change = Change {
-            from: self.live,
-            to: revised.white,
-            field: revised.field.clone(),
-        };
-        self.changed(depth_m, time_secs, &change)
+        let (model, known) = (&revised.fusion, &revised.known);
+        self.anew(depth_m, time_secs, world_from_camera, model, known)
     }
 
-    fn changed(&self, depth_m: &Image<f32>, time_secs: f64, change: &Change) -> Image<f32> {
-        let bias = self.multipath.as_ref().zip(self.bias_near(time_secs));
-        let depth = bias.map_or_else(
+    /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what is known now, on a
+    /// model in which it was taken from `world_from_camera`.
+    fn anew(
+        &self,
+        depth_m: &Image<f32>,
+        time_secs: f64,
+        world_from_camera: &Pose,
+        model: &Fusion,
+        known: &Known,
+    ) -> Image<f32> {
+        let predicted = self.multipath.as_ref().zip(self.prediction_near(time_secs));
+        let depth = predicted.map_or_else(
             || depth_m.clone(),
-            |(multipath, bias)| multipath.corrected(depth_m, bias, change.from, change.to),
+            |(multipath, prediction)| {
+                let bias = bias_on(model, multipath, depth_m, prediction, world_from_camera);
+                let raw = multipath.corrected(depth_m, &prediction.bias, self.live, None);
+                multipath.corrected(&raw, &bias, None, known.white)
+            },
         );
-        match &change.field {
+        match &known.field {
             Some(field) => field.corrected(&depth),
             None => depth,
         }
     }
 
     /// The prediction nearest in time.
-    fn bias_near(&self, time_secs: f64) -> Option<&RangeBias> {
+    fn prediction_near(&self, time_secs: f64) -> Option<&Prediction> {
         let time = nanos(time_secs);
-        let before = self.biases.range(..=time).next_back();
-        let after = self.biases.range(time..).next();
+        let before = self.predictions.range(..=time).next_back();
+        let after = self.predictions.range(time..).next();
         let both = before.into_iter().chain(after);
         let nearest = both.min_by_key(|(other, _)| (**other - time).abs());
-        nearest.map(|(_, bias)| bias)
+        nearest.map(|(_, prediction)| prediction)
     }
 
     /// The sensor's slow error that the frames of a scan still show.
@@ -221,28 +254,25 @@ impl DepthCorrection {
         field.flatten().filter(|field| field.rms() > MIN_FIELD_M)
     }
 
-    /// What the views of a scan tell of its white level once a field is taken off.
-    fn evidence(
-        &self,
-        fusion: &Fusion,
-        white: Option<WhiteLevel>,
-        field: Option<&DepthField>,
-    ) -> Option<Evidence> {
+    /// What the views of a scan that was fused with a white level tell of it.
+    fn evidence(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> Option<Evidence> {
         let multipath = self.multipath.as_ref().filter(|_| !self.is_measured)?;
         let frames = fusion.keyframes();
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
-        let view = |frame: &Keyframe| {
-            let depth = frame.depth_m();
-            let corrected = field.map(|field| field.corrected(&depth));
-            (corrected.unwrap_or(depth), frame.world_from_camera)
-        };
-        let frames = frames.iter().step_by(every);
-        let views: Vec<_> = frames
-            .filter_map(|frame| Some((view(frame), self.bias_near(frame.time_secs)?)))
+        let views: Vec<(Image<f32>, &Pose, RangeBias)> = frames
+            .iter()
+            .step_by(every)
+            .filter_map(|frame| {
+                let prediction = self.prediction_near(frame.time_secs)?;
+                let (depth, pose) = (frame.depth_m(), &frame.world_from_camera);
+                let bias = bias_on(fusion, multipath, &depth, prediction, pose);
+                let bias = multipath.by_patches(&bias);
+                Some((depth, pose, bias))
+            })
             .collect();
         let seen: Vec<Seen> = views
             .iter()
-            .map(|((depth_m, world_from_camera), bias)| Seen {
+            .map(|(depth_m, world_from_camera, bias)| Seen {
                 depth_m,
                 world_from_camera,
                 bias,
@@ -260,77 +290,78 @@ impl DepthCorrection {
         Some(evidence)
     }
 
-    /// Fuses all frames again, corrected otherwise; `None` if too many are lost that way, or it shall not go on.
+    /// Fuses all frames again, near where they lie by now, with what is known taken off; `None` if too many are lost that way, or
+    /// it shall not go on.
     fn fuse_again(
         &self,
-        before: &Fusion,
-        change: Change,
+        original: &Fusion,
         revised: Option<&Revised>,
+        known: Known,
         goes_on: &GoesOn,
     ) -> Option<Revised> {
+        let model = revised.map_or(original, |revised| &revised.fusion);
         let camera = CameraModel::new(self.info.intrinsics);
         let noise = DepthNoise::of_sensor(self.info.sensor);
         let mut fusion = Fusion::new(camera, noise, self.fusion.clone());
         let mut knots = Vec::new();
-        let mut last: Option<&Keyframe> = None;
-        let frames = before.keyframes();
-        for frame in frames {
+        let mut n_lost = 0;
+        for frame in original.keyframes() {
             if !goes_on() {
                 return None;
             }
-            let is_apart = last.is_some_and(|last| {
-                frame.time_secs - last.time_secs > MAX_GAP_SECS || frame.stretch != last.stretch
+            let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
+            let here = revised.map_or(*tracked, |revised| {
+                revised.correction.apply(time_secs, tracked)
             });
-            if is_apart {
-                fusion.interrupt();
-            }
-            last = Some(frame);
-            let depth = self.changed(&frame.depth_m(), frame.time_secs, &change);
-            let outcome = fusion.fuse(&depth, frame.time_secs);
-            if let TrackingOutcome::Tracked {
-                world_from_camera, ..
+            let depth = self.anew(&frame.depth_m(), time_secs, &here, model, &known);
+            let outcome = fusion.fuse_anew(&depth, frame, &here);
+            let TrackingOutcome::Tracked {
+                world_from_camera,
+                fit,
             } = outcome
-            {
-                let earlier = revised.map_or_else(Pose::identity, |revised| {
-                    revised.correction.at(frame.time_secs)
-                });
-                let moved = world_from_camera * frame.world_from_camera.inverse() * earlier;
-                knots.push((frame.time_secs, moved));
-            }
+            else {
+                n_lost += 1;
+                continue;
+            };
+            n_lost += usize::from(fit.is_none() && !knots.is_empty());
+            knots.push((time_secs, world_from_camera * tracked.inverse()));
         }
-        let n_lost = frames.len() - knots.len();
-        if n_lost as f64 > MAX_LOST_SHARE * frames.len() as f64 {
+        if n_lost as f64 > MAX_LOST_SHARE * original.keyframes().len() as f64 {
             tracing::warn!(
                 n_lost,
                 "fused again with its depth corrected, the scan loses its track, and stays as it was"
             );
             return None;
         }
-        let field_before = revised.and_then(|revised| revised.field.clone());
-        let field = match (field_before, change.field) {
-            (Some(before), Some(further)) => Some(before.plus(&further)),
-            (before, further) => before.or(further),
-        };
         tracing::info!(
-            white_level = change.to.map(|white| white.0),
-            field_rms_mm = field.as_ref().map(|field| 1e3 * field.rms()),
+            white_level = known.white.map(|white| white.0),
+            field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             "fused again with its depth corrected"
         );
         Some(Revised {
             fusion,
             correction: PoseCorrection::of_knots(knots),
-            white: change.to,
-            field,
+            known,
         })
     }
 }
 
-/// From what depth was corrected for to what it is to be corrected for.
-struct Change {
-    from: Option<WhiteLevel>,
-    to: Option<WhiteLevel>,
-    /// What is to be taken off beside.
-    field: Option<DepthField>,
+/// The multipath of a frame by the slant of a model's surface at a pose.
+fn bias_on(
+    model: &Fusion,
+    multipath: &Multipath,
+    depth_m: &Image<f32>,
+    prediction: &Prediction,
+    world_from_camera: &Pose,
+) -> RangeBias {
+    let to_camera = world_from_camera.rotation.inverse();
+    multipath.predict_on(depth_m, prediction, |point| {
+        let measured = world_from_camera * point;
+        let (distance, gradient) = model.signed_distance(&measured)?;
+        // On the surface itself, for noise lifts points off it.
+        let on_surface = model.signed_distance(&(measured - distance * gradient));
+        Some(to_camera * on_surface.map_or(gradient, |(_, gradient)| gradient))
+    })
 }
 
 fn nanos(time_secs: f64) -> i64 {

@@ -98,3 +98,36 @@ fn beyond_the_bound_the_given_pose_stands_and_is_counted() {
     assert_eq!(outcome, as_given);
     assert_eq!((fusion.n_unpolished(), fusion.n_fused()), (1, 4));
 }
+
+#[test]
+fn frames_that_are_fused_anew_are_kept_as_tracked_ones_are() {
+    let (frames, truth, camera) = frames(6);
+    let mut tracked = fusion(camera.clone());
+    for frame in &frames {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        tracked.fuse(depth, frame.device_time_secs);
+    }
+    let mut anew = fusion(camera);
+    let mut poses = Vec::new();
+    for (frame, given) in tracked.keyframes().iter().zip(perturbed(&truth)) {
+        match anew.fuse_anew(&frame.depth_m(), frame, &given) {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => poses.push(world_from_camera),
+            other => panic!("{other:?}"),
+        }
+    }
+    let kept = |fusion: &Fusion| -> Vec<(f64, usize)> {
+        let frames = fusion.keyframes().iter();
+        frames
+            .map(|frame| (frame.time_secs, frame.stretch))
+            .collect()
+    };
+    assert_eq!(kept(&anew), kept(&tracked));
+    assert_eq!(kept(&anew).len(), 6);
+    for (frame, pose) in anew.keyframes().iter().zip(&poses) {
+        assert_eq!(&frame.world_from_camera, pose);
+    }
+    // Nobody gave these poses.
+    assert_eq!(anew.n_unpolished(), 0);
+}

@@ -108,7 +108,10 @@ impl FusionStage {
         };
         for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
             let time_secs = snapshot.device_time_secs;
-            snapshot.depth_m = correction.revised_depth(&snapshot.depth_m, time_secs, &revised);
+            let tracked = &snapshot.world_from_camera;
+            let here = revised.correction.apply(time_secs, tracked);
+            let depth = correction.revised_depth(&snapshot.depth_m, time_secs, &here, &revised);
+            snapshot.depth_m = depth;
         }
         self.fusion = revised.fusion;
         self.correct(&revised.correction, snapshots);
