@@ -102,7 +102,7 @@ fn beyond_the_bound_the_given_pose_stands_and_is_counted() {
 #[test]
 fn frames_that_are_fused_anew_are_kept_as_tracked_ones_are() {
     let (frames, truth, camera) = frames(6);
-    let mut tracked = fusion(camera.clone());
+    let mut tracked = fusion(camera);
     for frame in &frames {
         let depth = frame.depth.as_ref().expect("Kinect II");
         tracked.fuse(depth, frame.device_time_secs);
