@@ -47,6 +47,11 @@ const ROUNDS: usize = 4;
 /// A field that explains less of the other half's disagreement is not believed.
 const MIN_EXPLAINED: f64 = 0.02;
 
+/// Share of a field that tracking and fusion do not hide. Fused again without what was measured, `pot-k1` showed 0.56, 0.65, 0.72,
+/// 0.77 of the last one in five revisions, as slow parts of a field hide better than fine ones; taken in full, three revisions
+/// came as far as six.
+const SHOWN_SHARE: f64 = 0.6;
+
 /// A patch of a frame against the model.
 struct Sample {
     cell: usize,
@@ -98,6 +103,14 @@ impl DepthField {
     pub fn rms(&self) -> f64 {
         let squares: f64 = self.offsets.iter().map(|x| x * x).sum();
         (squares / self.offsets.len() as f64).sqrt()
+    }
+
+    /// The field of which a scan showed this one.
+    pub fn in_full(&self) -> Self {
+        DepthField {
+            offsets: self.offsets.iter().map(|x| x / SHOWN_SHARE).collect(),
+            ..self.clone()
+        }
     }
 
     /// This field and another one that was measured with it taken off.

@@ -169,8 +169,9 @@ impl DepthCorrection {
                 |revised| revised.known.clone(),
             );
             let mut has_more = self.live.is_some() && round < MODEL_ROUNDS;
-            if let Some(further) = self.field(current) {
+            if let Some(shown) = self.field(current) {
                 has_more = true;
+                let further = shown.in_full();
                 known.field = Some(match &known.field {
                     Some(before) => before.plus(&further),
                     None => further,
