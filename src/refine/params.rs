@@ -48,7 +48,7 @@ impl Default for RefineParams {
             n_rounds: 3,
             max_steps: 3,
             patch_m: 0.02,
-            patch_sigma_m: 0.0002,
+            patch_sigma_m: 0.00018,
             slope_sigma_rad: 0.15,
             jacobian: JacobianMode::Analytic,
             max_albedos: 4,
