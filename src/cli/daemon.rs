@@ -7,10 +7,9 @@ use relief::control::{CameraSource, DaemonError, DaemonSetup, SettingsPlaces, ru
 use std::{env, net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 
 /// Pieces of memory of so many bytes, a seventh of a depth image and less than a packed one, go back to the system when they are
-/// let go, a heap keeps so many more than it uses, and all threads share so many heaps: see [`heap_limits`].
+/// let go, and a heap keeps so many more than it uses: see [`heap_limits`].
 const LARGE_BYTES: usize = 128 << 10;
 const SPARE_BYTES: usize = 1 << 20;
-const N_HEAPS: usize = 2;
 
 /// `relief run`.
 #[derive(Debug, Args)]
@@ -54,8 +53,7 @@ pub struct RunArgs {
 /// Runs until a signal ends it.
 pub fn run(args: &RunArgs) -> anyhow::Result<Verdict> {
     let program = env::current_exe().context("the program does not find itself")?;
-    heap_limits::limit(LARGE_BYTES, SPARE_BYTES, N_HEAPS)
-        .context("memory that is let go would be kept")?;
+    heap_limits::limit(LARGE_BYTES, SPARE_BYTES).context("memory that is let go would be kept")?;
     run_daemon(DaemonSetup {
         source: match &args.replay {
             Some(session) => CameraSource::Replay {

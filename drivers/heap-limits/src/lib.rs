@@ -7,34 +7,32 @@
 
 use std::io;
 
-/// From now on pieces of at least `large_bytes` are never kept once they are let go, a heap keeps `spare_bytes` beyond what is in
-/// use at most, and threads share `n_heaps` heaps, those that there are already included. Nothing is done where the allocator is
-/// another one.
+/// From now on pieces of at least `large_bytes` are never kept once they are let go, and a heap keeps `spare_bytes` beyond what is
+/// in use at most. Nothing is done where the allocator is another one.
 ///
 /// # Errors
 /// If the allocator refuses a limit, naming it: it counts to 2 GiB.
-pub fn limit(large_bytes: usize, spare_bytes: usize, n_heaps: usize) -> io::Result<()> {
-    system::limit(large_bytes, spare_bytes, n_heaps)
+pub fn limit(large_bytes: usize, spare_bytes: usize) -> io::Result<()> {
+    system::limit(large_bytes, spare_bytes)
 }
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod system {
     use std::io;
 
-    pub fn limit(large_bytes: usize, spare_bytes: usize, n_heaps: usize) -> io::Result<()> {
+    pub fn limit(large_bytes: usize, spare_bytes: usize) -> io::Result<()> {
         set("M_MMAP_THRESHOLD", libc::M_MMAP_THRESHOLD, large_bytes)?;
-        set("M_TRIM_THRESHOLD", libc::M_TRIM_THRESHOLD, spare_bytes)?;
-        set("M_ARENA_MAX", libc::M_ARENA_MAX, n_heaps)
+        set("M_TRIM_THRESHOLD", libc::M_TRIM_THRESHOLD, spare_bytes)
     }
 
-    fn set(name: &str, parameter: libc::c_int, value: usize) -> io::Result<()> {
+    fn set(name: &str, parameter: libc::c_int, bytes: usize) -> io::Result<()> {
         let refused = || {
             io::Error::new(
                 io::ErrorKind::InvalidInput,
-                format!("the allocator does not take {value} as {name}"),
+                format!("the allocator does not take {bytes} as {name}"),
             )
         };
-        let value = libc::c_int::try_from(value).map_err(|_| refused())?;
+        let value = libc::c_int::try_from(bytes).map_err(|_| refused())?;
         // SAFETY: `mallopt` takes two numbers, refuses those that make no sense, and may be called at any time by any thread.
         match unsafe { libc::mallopt(parameter, value) } {
             1 => Ok(()),
@@ -47,7 +45,7 @@ mod system {
 mod system {
     use std::io;
 
-    pub fn limit(_large_bytes: usize, _spare_bytes: usize, _n_heaps: usize) -> io::Result<()> {
+    pub fn limit(_large_bytes: usize, _spare_bytes: usize) -> io::Result<()> {
         Ok(())
     }
 }

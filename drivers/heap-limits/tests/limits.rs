@@ -33,9 +33,9 @@ fn given_back() -> usize {
 fn what_is_let_go_goes_back_once_there_are_limits() {
     let kept = N_PIECES * MIB - given_back();
     assert!(kept > N_PIECES * MIB / 2, "without limits: {kept} bytes");
-    let error = heap_limits::limit(4096 * MIB, MIB, 2).unwrap_err();
+    let error = heap_limits::limit(4096 * MIB, MIB).unwrap_err();
     assert!(error.to_string().contains("4294967296 as M_MMAP_THRESHOLD"));
-    heap_limits::limit(MIB / 8, MIB, 2).unwrap();
+    heap_limits::limit(MIB / 8, MIB).unwrap();
     let back = given_back();
     assert!(back > N_PIECES * MIB * 9 / 10, "{back} bytes");
 }
