@@ -168,7 +168,9 @@ impl DepthCorrection {
                 },
                 |revised| revised.known.clone(),
             );
-            let mut has_more = self.live.is_some() && round < MODEL_ROUNDS;
+            // Frames at given poses are not kept, nor any without memory for them.
+            let can_be_fused = !fusion.keyframes().is_empty();
+            let mut has_more = self.live.is_some() && round < MODEL_ROUNDS && can_be_fused;
             if let Some(shown) = self.field(current) {
                 has_more = true;
                 let further = shown.in_full();
@@ -368,3 +370,6 @@ fn bias_on(
 fn nanos(time_secs: f64) -> i64 {
     (1e9 * time_secs).round() as i64
 }
+
+#[cfg(test)]
+mod tests;
