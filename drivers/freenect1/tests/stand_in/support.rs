@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use depth_camera::CameraError;
+use depth_camera::{CameraError, DepthCamera, Frame};
 use freenect1::{Freenect1Camera, assembly::RawFrame};
 
 /// Frames that a scenario plays over and over.
@@ -111,10 +111,19 @@ pub fn assert_bit_exact(frame: &RawFrame) -> usize {
     disparity.or(ir).expect("a frame holds something")
 }
 
-/// The next frame that is whole.
+/// The next frame that is whole: a busy machine leaves packets without a transfer.
 pub fn next_whole(camera: &mut Freenect1Camera) -> RawFrame {
+    first_whole(|| camera.grab_raw(5 * SECOND))
+}
+
+/// The same, decoded.
+pub fn next_decoded(camera: &mut Freenect1Camera) -> Frame {
+    first_whole(|| camera.grab(5 * SECOND)).expect("a device does not end")
+}
+
+fn first_whole<T>(mut grab: impl FnMut() -> Result<T, CameraError>) -> T {
     loop {
-        match camera.grab_raw(5 * SECOND) {
+        match grab() {
             Ok(frame) => return frame,
             Err(error) => assert!(matches!(error, CameraError::DamagedFrame { .. }), "{error}"),
         }
