@@ -156,6 +156,10 @@ impl DepthCorrection {
         let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
+        // Frames at given poses are not kept, nor any without memory for them; and a white level may be known of a sensor whose
+        // depth is not freed of multipath.
+        let can_be_fused = !fusion.keyframes().is_empty();
+        let has_multipath = self.multipath.is_some() && self.live.is_some() && can_be_fused;
         for round in 0..self.fusion.max_revisions {
             if !goes_on() {
                 break;
@@ -168,9 +172,7 @@ impl DepthCorrection {
                 },
                 |revised| revised.known.clone(),
             );
-            // Frames at given poses are not kept, nor any without memory for them.
-            let can_be_fused = !fusion.keyframes().is_empty();
-            let mut has_more = self.live.is_some() && round < MODEL_ROUNDS && can_be_fused;
+            let mut has_more = has_multipath && round < MODEL_ROUNDS;
             if let Some(shown) = self.field(current) {
                 has_more = true;
                 let further = shown.in_full();
