@@ -200,13 +200,9 @@ fn a_kidnapped_kinect1_finds_back_to_seen_places_and_locks_nowhere_else() {
         return;
     };
     let (pot, desk) = (recording(&pot, 130), recording(&desk, 130));
-    // The desk's measured path is not true to the millimetre: what counts is where the camera was tracked before. On the desk,
-    // fast rotation, 17 of 20 jumps are found back, against the 19 that are wanted: the others lie between places.
-    let scenes = [
-        ("pot", &pot, &desk, 2.0, 19),
-        ("desk", &desk, &pot, 3.0, 17),
-    ];
-    for (name, seen, other, depth_max_m, least_found) in scenes {
+    // The desk's measured path is not true to the millimetre: what counts is where the camera was tracked before.
+    let scenes = [("pot", &pot, &desk, 2.0), ("desk", &desk, &pot, 3.0)];
+    for (name, seen, other, depth_max_m) in scenes {
         let (fusion, tracked) = tracked_model(seen, depth_max_m);
         let back: Vec<Ending> = starts(0..N_SEEN - 5, 20)
             .map(|start| kidnap(&fusion, &seen.depths[start..], Some(&tracked[start..])))
@@ -226,7 +222,7 @@ fn a_kidnapped_kinect1_finds_back_to_seen_places_and_locks_nowhere_else() {
             n_false(&elsewhere),
             elsewhere.len()
         );
-        assert!(n_found >= least_found);
+        assert!(n_found >= 19);
         assert_eq!(n_false(&back) + n_false(&elsewhere), 0);
     }
 }

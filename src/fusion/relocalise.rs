@@ -31,7 +31,7 @@ const ROWS: usize = 12;
 /// Depths that differ by more than this differ altogether, metres; arbitrary, the size of what is scanned.
 const MAX_DIFFERENCE_M: f32 = 0.1;
 /// A new place is so far from all others: alignment reaches twice as far.
-const PLACE_ROTATION_RAD: f64 = 0.15;
+const PLACE_ROTATION_RAD: f64 = 0.1;
 const PLACE_TRANSLATION_M: f64 = 0.08;
 /// So many places at most, 20 m of path; later ones are not kept.
 const MAX_PLACES: usize = 2000;
@@ -48,6 +48,9 @@ const N_CLOSE_LOOKS: usize = 2;
 const MIN_INLIER_SHARE: f64 = 0.5;
 /// Surfaces closer than this many sigmas of the depth noise are the same: drift of 10 mm and slant are to be allowed for.
 const AGREEING_SIGMAS: f32 = 6.0;
+/// A camera looks through the model where it sees a surface behind it by so many sigmas, slant allowed for, and not just by what
+/// tracking may err: the far side of a real desk is rough by more than that.
+const THROUGH_SIGMAS: f32 = 3.0;
 /// Least share of the pixels that the model can judge, by which it agrees: 0.987 and more when true, on a real desk too, up to
 /// 0.957 when the place is another one, and 0.964 for a lock some centimetres off in the right place.
 const MIN_AGREEING_SHARE: f64 = 0.975;
@@ -247,9 +250,11 @@ fn compare(eye: &Eye, model: &ModelMap, pose: &Pose, voxel_size_m: f32) -> Share
         }
         // A pixel's depth varies over the pixel as it does on a slope of 75°.
         let slope_m = 4.0 * z / width as f32;
-        let margin_m = AGREEING_SIGMAS * eye.noise.sigma_m(z) + slope_m;
+        let sigma_m = eye.noise.sigma_m(z);
+        let margin_m = AGREEING_SIGMAS * sigma_m + slope_m;
+        let through_m = behind_m.max(THROUGH_SIGMAS * sigma_m + slope_m);
         n_seen += 1;
-        n_through += usize::from(z > far_m + behind_m);
+        n_through += usize::from(z > far_m + through_m);
         n_agreeing += usize::from((near_m - margin_m..=far_m + margin_m).contains(&z));
     }
     let share = |n: usize| n as f64 / n_seen.max(1) as f64;
