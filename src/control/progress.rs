@@ -1,6 +1,7 @@
 //! How far a run is: a bar on a terminal, a line now and then elsewhere, or nothing.
 
 use super::progress_lines::ProgressLines;
+use crate::fusion::{Improvement, Work};
 use crate::pipeline::{Phase, State, Status};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::{
@@ -138,7 +139,11 @@ fn share(status: &Status) -> (u64, Option<u64>) {
             let (begun, of) = status.refinement.rounds;
             (begun as u64, Some(of.max(1) as u64))
         }
-        Phase::Meshing | Phase::Exporting => (0, None),
+        Phase::Meshing => status.improvement.map_or((0, None), |improvement| {
+            let (done, of) = (improvement.n_done, improvement.n_in_all);
+            (done as u64, Some(of as u64))
+        }),
+        Phase::Exporting => (0, None),
     }
 }
 
@@ -159,7 +164,9 @@ fn sentence(status: &Status) -> String {
                 status.snapshots.accepted
             )
         }
-        Phase::Meshing => "extracting the base mesh".to_owned(),
+        Phase::Meshing => status
+            .improvement
+            .map_or_else(|| "extracting the base mesh".to_owned(), improving),
         Phase::Refining if status.refinement.n_steps == 0 => "refining: preparing".to_owned(),
         Phase::Refining => format!(
             "refining: round {} of {}, step {}, energy at {:.1} % of the start",
@@ -169,6 +176,24 @@ fn sentence(status: &Status) -> String {
             100.0 * status.refinement.energy_share
         ),
         Phase::Exporting => "writing outputs".to_owned(),
+    }
+}
+
+/// What is done to the scan as a whole.
+fn improving(improvement: Improvement) -> String {
+    let Improvement {
+        work,
+        n_done,
+        n_in_all,
+    } = improvement;
+    let of = |what: &str| format!("{what} {n_done} of {n_in_all}");
+    match work {
+        Work::CorrectDepth(time) => of(&format!("correcting depth, pass {time}: frame")),
+        Work::FuseFragments => of("closing loops: fragment"),
+        Work::FindLoops => of("closing loops: looking for them from fragment"),
+        Work::AlignFragments => of("closing loops: pair"),
+        Work::CloseLoops => of("closing loops: frame"),
+        Work::SeparateThinParts => of("separating thin parts: frame"),
     }
 }
 
@@ -220,6 +245,13 @@ mod tests {
             sentence(&status),
             "frame 12 of 48: 11 fused, 1 lost, LOST (too fast), 3 shading images"
         );
+        status.phase = Phase::Meshing;
+        status.improvement = Some(Work::CorrectDepth(2).at(30, 120));
+        assert_eq!(
+            sentence(&status),
+            "correcting depth, pass 2: frame 30 of 120"
+        );
+        assert_eq!(share(&status), (30, Some(120)));
         status.phase = Phase::Refining;
         status.refinement.rounds = (2, 4);
         status.refinement.n_steps = 7;

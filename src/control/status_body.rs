@@ -22,6 +22,8 @@ pub struct StatusBody {
     pub advice: Option<&'static str>,
     /// `idle`, `capturing`, `meshing`, `refining`, `exporting`.
     pub phase: &'static str,
+    /// What is done to the scan at its end, and how far that is.
+    pub improvement: Option<ImprovementBody>,
     /// The scan that goes on.
     pub scan: Option<ScanBody>,
     /// What became of its frames: all but `produced` add up to `produced`.
@@ -44,6 +46,17 @@ pub struct StatusBody {
     pub mesh: Option<MeshBody>,
     /// The daemon itself.
     pub daemon: DaemonBody,
+}
+
+/// What is done to a scan at its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ImprovementBody {
+    /// `correct_depth`, `fuse_fragments`, `find_loops`, `align_fragments`, `close_loops`, `separate_thin_parts`.
+    pub work: &'static str,
+    /// Frames, fragments or pairs of them that are done.
+    pub done: usize,
+    /// Of so many.
+    pub of: usize,
 }
 
 /// The scan that goes on.
@@ -210,6 +223,11 @@ impl StatusBody {
                 true => status.phase.code(),
                 false => "idle",
             },
+            improvement: status.improvement.map(|improvement| ImprovementBody {
+                work: improvement.work.code(),
+                done: improvement.n_done,
+                of: improvement.n_in_all,
+            }),
             scan: scan.as_deref().map(ScanBody::of),
             frames: status.frames.into(),
             fps: status.fps,

@@ -1,6 +1,7 @@
 //! Whether every stage moves, or has nothing to do: a daemon that hangs must not say that all is well.
 
 use super::supervisor::{Scan, Supervisor};
+use crate::fusion::Improvement;
 use crate::pipeline::{DeviceHealth, Phase, Status};
 use std::{
     sync::Arc,
@@ -10,7 +11,7 @@ use std::{
 /// How long a device may give nothing while it says that it streams, and fusion may take for a frame.
 const CAPTURE_PATIENCE: Duration = Duration::from_secs(20);
 
-/// How long meshes and reports may take; the largest scans take a few minutes.
+/// How long meshes and reports may take, and a step of improving a scan; the largest take a few minutes.
 const ENDING_PATIENCE: Duration = Duration::from_secs(900);
 
 /// What moved last, and when.
@@ -25,6 +26,7 @@ struct Progress {
     produced: u64,
     handled: u64,
     phase: Phase,
+    improvement: Option<Improvement>,
 }
 
 impl Watchdog {
@@ -39,6 +41,7 @@ impl Watchdog {
             produced: status.frames.produced,
             handled: status.frames.handled(),
             phase: status.phase,
+            improvement: status.improvement,
         };
         let since = match &self.last {
             Some((last, old, since))
@@ -56,7 +59,7 @@ impl Watchdog {
 /// Whether a stage that has something to do has not done it.
 fn has_not_moved(old: &Progress, new: &Progress, status: &Status) -> bool {
     if old.phase != new.phase || new.phase != Phase::Capturing {
-        return old.phase == new.phase;
+        return old.phase == new.phase && old.improvement == new.improvement;
     }
     let device_hangs = new.produced == old.produced && status.device == DeviceHealth::Streaming;
     let fusion_hangs = new.handled == old.handled && status.frames.in_flight > 0;
@@ -73,6 +76,7 @@ fn patience(phase: Phase) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fusion::Work;
     use crate::pipeline::FrameAccounts;
 
     fn progress(produced: u64, handled: u64) -> Progress {
@@ -80,6 +84,7 @@ mod tests {
             produced,
             handled,
             phase: Phase::Capturing,
+            improvement: None,
         }
     }
 
@@ -103,5 +108,12 @@ mod tests {
         assert!(has_not_moved(&progress(5, 5), &progress(5, 5), &streaming));
         assert!(!has_not_moved(&progress(5, 5), &progress(5, 5), &gone));
         assert!(has_not_moved(&progress(5, 4), &progress(9, 4), &busy));
+        let at = |n_done| Progress {
+            phase: Phase::Meshing,
+            improvement: Some(Work::CloseLoops.at(n_done, 100)),
+            ..progress(5, 5)
+        };
+        assert!(has_not_moved(&at(7), &at(7), &gone));
+        assert!(!has_not_moved(&at(7), &at(8), &gone));
     }
 }

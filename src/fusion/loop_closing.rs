@@ -7,16 +7,17 @@
 //!
 //! Not handled: places that were seen twice but drifted apart beyond the alignment's reach of 40 mm.
 
+use super::FusionParams;
 use super::band::Band;
 use super::eye::Eye;
 use super::fragment_alignment::{Alignment, align, mutual_overlap};
 use super::fragments::{Fragment, cut};
 use super::icp;
+use super::improvement::{Counted, GoesOn, Work};
 use super::keyframes::Keyframe;
 use super::pose_correction::PoseCorrection;
 use super::pose_graph::{Edge, optimise};
 use super::volume::TsdfVolume;
-use super::{FusionParams, GoesOn};
 use crate::geometry::Pose;
 use nalgebra::{Matrix6, Point3, Vector6};
 use rayon::prelude::*;
@@ -133,22 +134,28 @@ pub(super) fn find(
     live: &TsdfVolume,
     goes_on: &GoesOn,
 ) -> Option<ClosedLoops> {
-    let fragments: Vec<Fragment> = cut(frames, &params.loop_closing)
+    let stretches = cut(frames, &params.loop_closing);
+    let step = Counted::new(Work::FuseFragments, stretches.len(), goes_on);
+    let fragments: Vec<Fragment> = stretches
         .into_par_iter()
-        .map(|stretch| goes_on().then(|| Fragment::fuse(frames, stretch, eye.clone(), params)))
+        .map(|stretch| {
+            step.goes_on()
+                .then(|| Fragment::fuse(frames, stretch, eye.clone(), params))
+        })
         .collect::<Option<_>>()?;
     let tracked: Vec<Pose> = fragments
         .iter()
         .map(|fragment| frames[fragment.anchor].world_from_camera)
         .collect();
     let (nodes, n_loops) = settle(frames, &fragments, &tracked, eye, params, goes_on);
-    if n_loops == 0 || !goes_on() {
+    if n_loops == 0 {
         return None;
     }
     let correction = PoseCorrection::of_fragments(frames, &fragments, &nodes);
     let (mut volume, mut band) = (params.empty_volume(), Band::default());
-    fuse_again((&mut volume, &mut band), frames, &correction, eye, goes_on);
-    if !goes_on() {
+    let step = Counted::new(Work::CloseLoops, frames.len(), goes_on);
+    let anew = (&mut volume, &mut band);
+    if !fuse_again(anew, frames, &correction, eye, &|| step.goes_on()) {
         return None;
     }
     let corrected: Vec<Pose> = fragments
@@ -193,21 +200,25 @@ fn settle(
     (nodes, n_loops)
 }
 
-/// Fuses all frames at their corrected poses into an empty volume, or the first of them if it shall not go on.
+/// Fuses all frames at their corrected poses into an empty volume, or the first of them if it shall not go on, and says which.
 pub(super) fn fuse_again(
     (volume, band): (&mut TsdfVolume, &mut Band),
     frames: &[Keyframe],
     correction: &PoseCorrection,
     eye: &Eye,
-    goes_on: &GoesOn,
-) {
+    goes_on: &dyn Fn() -> bool,
+) -> bool {
     let mut eye = eye.clone();
-    for frame in frames.iter().take_while(|_| goes_on()) {
+    for frame in frames {
+        if !goes_on() {
+            return false;
+        }
         if eye.take(&frame.depth_m()) {
             let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
             eye.fuse_into(volume, band, &pose, &mut |_| {});
         }
     }
+    true
 }
 
 /// Mean distance of the fragments' points to the surface of a volume, where it knows one, metres.
@@ -289,7 +300,9 @@ fn aligned_pairs(
     let margin_m = icp::BEHIND_VOXELS * params.voxel_size_m as f32;
     let closing = &params.loop_closing;
     let guess = |source: usize, target: usize| nodes[target].inverse() * nodes[source];
-    let candidates: Vec<(usize, usize)> = (0..fragments.len())
+    let n_fragments = fragments.len();
+    let step = Counted::new(Work::FindLoops, n_fragments, goes_on);
+    let candidates: Vec<(usize, usize)> = (0..n_fragments)
         .into_par_iter()
         .flat_map_iter(|source| {
             let overlaps = |target: &usize| {
@@ -297,18 +310,17 @@ fn aligned_pairs(
                 mutual_overlap(a, b, &guess(source, *target), eye, margin_m).shared_share()
                     >= closing.min_shared_share
             };
-            let targets: Vec<usize> = (0..source)
-                .take_while(|_| goes_on())
-                .filter(overlaps)
-                .collect();
+            let others = if step.goes_on() { source } else { 0 };
+            let targets: Vec<usize> = (0..others).filter(overlaps).collect();
             let chosen = evenly(&targets, MAX_PAIRS);
             chosen.into_iter().map(move |target| (source, target))
         })
         .collect();
+    let step = Counted::new(Work::AlignFragments, candidates.len(), goes_on);
     candidates
         .into_par_iter()
         .filter_map(|(source, target)| {
-            if !goes_on() {
+            if !step.goes_on() {
                 return None;
             }
             let (a, b) = (&fragments[source], &fragments[target]);

@@ -6,6 +6,7 @@
 //!
 //! Not handled: moving objects.
 
+mod improvement;
 mod noise;
 mod outcome;
 mod params;
@@ -67,6 +68,7 @@ mod tests;
 
 pub use depth_field::DepthField;
 pub use icp::IcpParams;
+pub use improvement::{GoesOn, Improvement, Work};
 pub use infrared::InfraredOptics;
 pub use keyframes::Keyframe;
 #[cfg(test)]
@@ -106,9 +108,6 @@ const MAX_SETTLING_M: f64 = 0.01;
 
 /// After an interruption longer absence does not entitle to a longer jump, seconds.
 const MAX_INTERRUPTED_SECS: f64 = 0.1;
-
-/// Asked by long work, once a frame or a pair of fragments, whether it shall go on.
-pub type GoesOn<'a> = dyn Fn() -> bool + Sync + 'a;
 
 /// The model and the camera's place in it.
 #[derive(Clone)]

@@ -9,8 +9,9 @@
 
 use super::band::Band;
 use super::block::{BLOCK_SIDE, BRICK_SIDE, BRICK_VOXELS, BRICKS, Block, BlockCoord, UNSEEN};
+use super::improvement::{Counted, GoesOn, Work};
 use super::volume::TsdfVolume;
-use super::{Fusion, GoesOn, PoseCorrection, loop_closing, marching_cubes};
+use super::{Fusion, PoseCorrection, loop_closing, marching_cubes};
 use crate::geometry::{PointGrid, TriMesh, area_vector};
 use nalgebra::{Point3, Vector3};
 use std::collections::{HashMap, HashSet};
@@ -40,14 +41,11 @@ impl Fusion {
         }
         let mut narrow = params.thin_volume();
         let mut band = Band::default();
-        loop_closing::fuse_again(
-            (&mut narrow, &mut band),
-            frames,
-            correction,
-            &self.eye,
-            goes_on,
-        );
-        if !goes_on() || band.refused().n_over_budget > 0 {
+        let step = Counted::new(Work::SeparateThinParts, frames.len(), goes_on);
+        let anew = (&mut narrow, &mut band);
+        let (eye, goes_on) = (&self.eye, || step.goes_on());
+        let is_whole = loop_closing::fuse_again(anew, frames, correction, eye, &goes_on);
+        if !is_whole || band.refused().n_over_budget > 0 {
             return 0;
         }
         let min_weight = params.min_surface_weight as f32;

@@ -3,7 +3,7 @@
 
 use crate::{
     fusion::{
-        DepthField, DepthNoise, Fusion, FusionParams, GoesOn, PoseCorrection, TrackingOutcome,
+        DepthField, DepthNoise, Fusion, FusionParams, GoesOn, PoseCorrection, TrackingOutcome, Work,
     },
     geometry::{CameraModel, Pose, RayGrid},
     interreflection::WhiteLevel,
@@ -131,7 +131,7 @@ impl DepthCorrection {
             revised,
             search,
             evidence,
-        } = self.settled(fusion, &|| true);
+        } = self.settled(fusion, &|_| true);
         let fused_again = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
         let white = revised
             .as_ref()
@@ -161,7 +161,8 @@ impl DepthCorrection {
         let can_be_fused = !fusion.keyframes().is_empty();
         let has_multipath = self.multipath.is_some() && self.live.is_some() && can_be_fused;
         for round in 0..self.fusion.max_revisions {
-            if !goes_on() {
+            let work = Work::CorrectDepth(round + 1);
+            if !goes_on(work.at(0, fusion.keyframes().len())) {
                 break;
             }
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
@@ -192,7 +193,7 @@ impl DepthCorrection {
             if !has_more {
                 break;
             }
-            match self.fuse_again(fusion, revised.as_ref(), known, goes_on) {
+            match self.fuse_again(fusion, revised.as_ref(), known, work, goes_on) {
                 Some(again) => (revised, told) = (Some(again), None),
                 None => break,
             }
@@ -302,6 +303,7 @@ impl DepthCorrection {
         original: &Fusion,
         revised: Option<&Revised>,
         known: Known,
+        work: Work,
         goes_on: &GoesOn,
     ) -> Option<Revised> {
         let model = revised.map_or(original, |revised| &revised.fusion);
@@ -310,8 +312,9 @@ impl DepthCorrection {
         let mut fusion = Fusion::new(camera, noise, self.fusion.clone());
         let mut knots = Vec::new();
         let mut n_lost = 0;
-        for frame in original.keyframes() {
-            if !goes_on() {
+        let frames = original.keyframes();
+        for (n_done, frame) in frames.iter().enumerate() {
+            if !goes_on(work.at(n_done, frames.len())) {
                 return None;
             }
             let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
@@ -331,7 +334,7 @@ impl DepthCorrection {
             n_lost += usize::from(fit.is_none() && !knots.is_empty());
             knots.push((time_secs, world_from_camera * tracked.inverse()));
         }
-        if n_lost as f64 > MAX_LOST_SHARE * original.keyframes().len() as f64 {
+        if n_lost as f64 > MAX_LOST_SHARE * frames.len() as f64 {
             tracing::warn!(
                 n_lost,
                 "fused again with its depth corrected, the scan loses its track, and stays as it was"

@@ -3,6 +3,7 @@
 use super::{accounts::FrameAccounts, state::State};
 use crate::{
     capture::DeviceHealth,
+    fusion::Improvement,
     snapshot::{Guidance, SequenceStep},
 };
 use std::sync::{
@@ -16,7 +17,7 @@ pub enum Phase {
     /// Frames are coming and being fused.
     #[default]
     Capturing,
-    /// The base mesh is being taken out of the volume.
+    /// The scan is improved as a whole, and the base mesh taken out of the volume.
     Meshing,
     /// The surface is being refined.
     Refining,
@@ -59,6 +60,8 @@ pub struct Status {
     pub snapshots: SnapshotCounts,
     /// Kinect I: how far the guided sequence of the next shading image is; `None` with other sensors.
     pub kinect1_sequence: Option<SequenceStatus>,
+    /// What is done to the scan at its end before its mesh is taken out of the volume, and how far that is.
+    pub improvement: Option<Improvement>,
     /// How far refinement in this process is.
     pub refinement: RefinementProgress,
     /// What is being recorded.

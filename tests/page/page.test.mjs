@@ -111,6 +111,7 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
 
   await t.test('stops, and refines', async () => {
     await button('stop').click();
+    if (!DAEMON) await page.getByTestId('state-advice').getByText('Correcting depth, frame 12 of 120').waitFor();
     await state(page, 'idle');
     await page.waitForFunction(() => document.getElementById('refinement').dataset.state === 'running', null, { timeout: 120_000 });
     await page.locator('#refinement-round').getByText(/^\d of \d$/).waitFor({ timeout: 120_000 });

@@ -193,6 +193,7 @@ export class StandInDaemon {
     return {
       state, reason: reasons[state] ?? null, advice: ADVICE[state],
       phase: scan ? (scan.drainUntil ? 'meshing' : 'capturing') : 'idle',
+      improvement: scan?.drainUntil ? { work: 'correct_depth', done: 12, of: 120 } : null,
       scan: scan && { id: scan.id, label: scan.label, started_unix_ms: scan.started, device: { serial: 'stand-in-1', sensor: this.#sensor } },
       frames: { produced, fused: Math.max(0, produced - paused - lost - inFlight - dropped), lost, without_depth: 0, paused, damaged: 0, dropped, in_flight: inFlight },
       fps: scan ? 29.9 : 0, fitness: this.#fitness, ir_saturated_share: scan ? 0.011 : null,

@@ -29,11 +29,25 @@ const REASONS = {
   program: 'fault of the program',
 };
 
+/** What is done to a scan at its end. */
+const WORKS = {
+  correct_depth: 'Correcting depth, frame',
+  fuse_fragments: 'Closing loops, fragment',
+  find_loops: 'Looking for loops, fragment',
+  align_fragments: 'Closing loops, pair',
+  close_loops: 'Closing loops, frame',
+  separate_thin_parts: 'Separating thin parts, frame',
+};
+
 /** `{title, advice, tone}`, tone one of good, weak, bad, quiet. */
-export function describeState({ state, reason, advice, refinement }) {
+export function describeState({ state, reason, advice, improvement, refinement }) {
   const [title, tone] = STATES[state] ?? [spelled(state), 'quiet'];
   if (state === 'idle' && refinement.state === 'running') {
     return { title, advice: 'The last scan is being refined; the camera is free for another.', tone };
+  }
+  if (improvement) {
+    const { work, done, of } = improvement;
+    return { title, advice: `${WORKS[work] ?? spelled(work)} ${done} of ${of}`, tone };
   }
   const because = reason ? `: ${REASONS[reason] ?? spelled(reason)}` : '';
   return { title: title + because, advice: advice ?? '', tone };

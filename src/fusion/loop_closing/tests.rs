@@ -1,7 +1,7 @@
 //! Loops over frames of the simulated camera, whose poses are known.
 
 use super::super::tests::{frames as simulated_frames, small_params};
-use super::super::{DepthNoise, FusionParams, eye::Eye, keyframes::Keyframes};
+use super::super::{DepthNoise, FusionParams, Improvement, eye::Eye, keyframes::Keyframes};
 use super::*;
 use crate::geometry::{increment, motion_between};
 use depth_camera::Sensor;
@@ -23,7 +23,7 @@ fn drifted(n_frames: usize, drift: &Vector6<f64>) -> (Keyframes, Vec<Pose>, Eye)
 }
 
 fn closed(keyframes: &Keyframes, eye: &Eye, params: &FusionParams) -> Option<ClosedLoops> {
-    closed_while(keyframes, eye, params, &|| true)
+    closed_while(keyframes, eye, params, &|_| true)
 }
 
 fn closed_while(
@@ -35,8 +35,9 @@ fn closed_while(
     let nothing_moved = PoseCorrection::default();
     let (mut live, mut band) = (params.empty_volume(), Band::default());
     let anew = (&mut live, &mut band);
-    fuse_again(anew, keyframes.frames(), &nothing_moved, eye, &|| true);
-    find(keyframes.frames(), eye, params, &live, goes_on)
+    let frames = keyframes.frames();
+    fuse_again(anew, frames, &nothing_moved, eye, &|| true);
+    find(frames, eye, params, &live, goes_on)
 }
 
 /// Fragments so short that a swing of few frames has several.
@@ -88,7 +89,8 @@ fn closing_loops_ends_wherever_it_is_told_to() {
     let drift = Vector6::new(0.0004, 0.0003, 0.0, 0.0006, 0.0, 0.0004);
     let (keyframes, _, eye) = drifted(18, &drift);
     let n_asked = AtomicUsize::new(0);
-    let count = || {
+    let count = |told: Improvement| {
+        assert!(told.n_done < told.n_in_all, "{told:?}");
         n_asked.fetch_add(1, Ordering::Relaxed);
         true
     };
@@ -99,7 +101,7 @@ fn closing_loops_ends_wherever_it_is_told_to() {
     assert!(n_all > 6 + 15 + 18, "{n_all}");
     for n in [0, 3, 10, n_all / 2, n_all - 10, n_all - 1] {
         let left = AtomicUsize::new(n);
-        let ends = || {
+        let ends = |_| {
             let taken = |left: usize| left.checked_sub(1);
             left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, taken)
                 .is_ok()

@@ -70,7 +70,7 @@ fn a_plate_thinner_than_the_band_is_as_thick_as_it_is() {
     let mut fusion = fused(params());
     let before = largest_error_m(&fusion);
     assert!(before > 0.0015, "{before}");
-    let replaced = fusion.separate_thin_parts(&PoseCorrection::default(), &|| true);
+    let replaced = fusion.separate_thin_parts(&PoseCorrection::default(), &|_| true);
     assert!(replaced > 0);
     let after = largest_error_m(&fusion);
     assert!(after < 0.0002, "{after}");
@@ -88,15 +88,15 @@ fn nothing_is_changed_where_nothing_is_thin_or_nobody_waits() {
     let mut fusion = fused(params());
     let before = fusion.mesh();
     let nowhere = PoseCorrection::default();
-    assert_eq!(fusion.separate_thin_parts(&nowhere, &|| false), 0);
+    assert_eq!(fusion.separate_thin_parts(&nowhere, &|_| false), 0);
     fusion.params.thin_truncation_voxels = fusion.params.truncation_voxels;
-    assert_eq!(fusion.separate_thin_parts(&nowhere, &|| true), 0);
+    assert_eq!(fusion.separate_thin_parts(&nowhere, &|_| true), 0);
     assert_eq!(fusion.mesh().vertices, before.vertices);
 
     // From one side alone it is a surface like any other.
     let mut fusion = fused(params());
     fusion.keyframes.truncate(1);
-    assert_eq!(fusion.separate_thin_parts(&nowhere, &|| true), 0);
+    assert_eq!(fusion.separate_thin_parts(&nowhere, &|_| true), 0);
     assert_eq!(fusion.mesh().vertices, before.vertices);
 }
 
@@ -106,7 +106,7 @@ fn without_room_for_a_second_volume_the_model_stays() {
     let before = fusion.mesh();
     fusion.params.memory_budget_mb = 1;
     assert_eq!(
-        fusion.separate_thin_parts(&PoseCorrection::default(), &|| true),
+        fusion.separate_thin_parts(&PoseCorrection::default(), &|_| true),
         0
     );
     assert_eq!(fusion.mesh().vertices, before.vertices);

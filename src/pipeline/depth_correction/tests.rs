@@ -42,7 +42,7 @@ fn scanned(
 fn a_tracked_scan_is_fused_again_on_its_model_with_every_frame_where_it_was() {
     let (correction, tracked) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
     let revised = correction
-        .revise(&tracked, &|| true)
+        .revise(&tracked, &|_| true)
         .expect("light comes over the table");
     assert_eq!(revised.fusion.n_fused(), N_FRAMES);
     let pairs = revised.fusion.keyframes().iter().zip(tracked.keyframes());
@@ -62,12 +62,12 @@ fn a_tracked_scan_is_fused_again_on_its_model_with_every_frame_where_it_was() {
             "{motion:?}"
         );
     }
-    assert!(correction.revise(&tracked, &|| false).is_none());
+    assert!(correction.revise(&tracked, &|_| false).is_none());
 }
 
 #[test]
 fn a_scan_at_given_poses_stays_as_it_was_fused() {
     let (correction, given) = scanned(Fusion::fuse_at);
     assert!(given.keyframes().is_empty() && given.n_fused() == N_FRAMES);
-    assert!(correction.revise(&given, &|| true).is_none());
+    assert!(correction.revise(&given, &|_| true).is_none());
 }

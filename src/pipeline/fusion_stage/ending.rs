@@ -29,8 +29,11 @@ impl FusionStage {
         });
         if !self.trajectory.is_empty() {
             let mut snapshots = self.selector.take().map(SnapshotSelector::finish);
-            let stop = self.stop.clone();
-            let goes_on = || !stop.is_stopped();
+            let (stop, told) = (self.stop.clone(), self.status.clone());
+            let goes_on = |improvement| {
+                told.update(|status| status.improvement = Some(improvement));
+                !stop.is_stopped()
+            };
             self.revise(snapshots.as_mut(), &goes_on);
             let closure = closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
@@ -47,8 +50,9 @@ impl FusionStage {
             });
             tracing::info!(n_bricks = n_thin, "thin parts fused with a narrow band");
             if self.poses.is_none() {
-                self.settle(snapshots.as_mut(), &goes_on);
+                self.settle(snapshots.as_mut());
             }
+            self.status.update(|status| status.improvement = None);
             self.summary.unimproved_reason = stop.is_stopped().then(|| STOPPED.to_owned());
             self.summary.refusal = self.fusion.refusal();
             let (fusion, pool) = (&self.fusion, &self.pool);
@@ -85,10 +89,10 @@ impl FusionStage {
     }
 
     /// Lets the shading images settle on the finished model.
-    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>, goes_on: &GoesOn) {
-        let (fusion, pool) = (&mut self.fusion, &self.pool);
+    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        let (fusion, pool, stop) = (&mut self.fusion, &self.pool, &self.stop);
         let snapshots = snapshots.into_iter().flat_map(|s| &mut s.accepted);
-        for snapshot in snapshots.take_while(|_| goes_on()) {
+        for snapshot in snapshots.take_while(|_| !stop.is_stopped()) {
             let settled =
                 pool.install(|| fusion.settle(&snapshot.depth_m, &snapshot.world_from_camera));
             if let Some(pose) = settled {
