@@ -14,6 +14,10 @@ use cli::{
 use relief::control::Progress;
 use std::process::ExitCode;
 
+/// The system's own kept ever more of what a daemon lets go over hours.
+#[global_allocator]
+static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
+
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let prints_json = cli.command.prints_json();

@@ -6,11 +6,6 @@ use clap::Args;
 use relief::control::{CameraSource, DaemonError, DaemonSetup, SettingsPlaces, run_daemon};
 use std::{env, net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 
-/// Pieces of memory of so many bytes, a seventh of a depth image and less than a packed one, go back to the system when they are
-/// let go, and a heap keeps so many more than it uses: see [`heap_limits`].
-const LARGE_BYTES: usize = 128 << 10;
-const SPARE_BYTES: usize = 1 << 20;
-
 /// `relief run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
@@ -53,7 +48,6 @@ pub struct RunArgs {
 /// Runs until a signal ends it.
 pub fn run(args: &RunArgs) -> anyhow::Result<Verdict> {
     let program = env::current_exe().context("the program does not find itself")?;
-    heap_limits::limit(LARGE_BYTES, SPARE_BYTES).context("memory that is let go would be kept")?;
     run_daemon(DaemonSetup {
         source: match &args.replay {
             Some(session) => CameraSource::Replay {
