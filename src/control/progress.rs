@@ -1,8 +1,7 @@
 //! How far a run is: a bar on a terminal, a line now and then elsewhere, or nothing.
 
 use super::progress_lines::ProgressLines;
-use crate::fusion::{Improvement, Work};
-use crate::pipeline::{Phase, State, Status};
+use crate::pipeline::{Improvement, Phase, State, Status, Work};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::{
     io::{self, IsTerminal, Write},

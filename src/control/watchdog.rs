@@ -1,8 +1,7 @@
 //! Whether every stage moves, or has nothing to do: a daemon that hangs must not say that all is well.
 
 use super::supervisor::{Scan, Supervisor};
-use crate::fusion::Improvement;
-use crate::pipeline::{DeviceHealth, Phase, Status};
+use crate::pipeline::{DeviceHealth, Improvement, Phase, Status};
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -76,8 +75,7 @@ fn patience(phase: Phase) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::Work;
-    use crate::pipeline::FrameAccounts;
+    use crate::pipeline::{FrameAccounts, Work};
 
     fn progress(produced: u64, handled: u64) -> Progress {
         Progress {

@@ -45,6 +45,7 @@ mod timing;
 
 pub use crate::{
     capture::{DeviceHealth, Event, EventKind},
+    fusion::{Improvement, Work},
     snapshot::SequenceStep,
 };
 pub use accounts::FrameAccounts;
