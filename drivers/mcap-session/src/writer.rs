@@ -5,7 +5,7 @@ mod segments;
 use std::{
     fs::File,
     path::{Path, PathBuf},
-    time::{Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 use depth_camera::{CameraInfo, Frame, Image};
@@ -28,7 +28,8 @@ const WORLD_FRAME: &str = "world";
 
 /// A recording being written.
 ///
-/// What was given is on its way to the disk [`RecordingParams::flush_every`] later, if [`SegmentWriter::tick`] is called as often.
+/// What was given is on its way to the disk [`RecordingParams::flush_every`] later, if [`SegmentWriter::tick`] is called as often,
+/// and as soon as frames of so much of the device's time wait.
 /// A recording whose process died is whole up to there once it is repaired, see [`crate::repair()`]. After
 /// [`RecordingError::DiskFloor`] or a failure to write, the recording has ended and every call says so.
 pub struct SegmentWriter {
@@ -46,6 +47,8 @@ pub struct SegmentWriter {
     /// Device time of the first frame and the wall clock then, which all log times go by.
     start: Option<(Stamp, u64)>,
     last_frame: Option<Stamp>,
+    /// The first frame that was not handed to the disk yet.
+    waits_since: Option<Stamp>,
     next_sequence: [u32; Stream::ALL.len()],
 }
 
@@ -99,6 +102,7 @@ impl SegmentWriter {
             disk_free_bytes: u64::MAX,
             start: None,
             last_frame: None,
+            waits_since: None,
             next_sequence: [0; Stream::ALL.len()],
         };
         writer.check_disk()?;
@@ -138,6 +142,7 @@ impl SegmentWriter {
     ) -> Result<(), RecordingError> {
         let stamp = self.check(frame, self.last_frame)?;
         self.last_frame = Some(stamp);
+        self.waits_since.get_or_insert(stamp);
         self.start.get_or_insert_with(|| (stamp, unix_ns()));
         self.lock.count_frame();
         if let Some(depth) = &frame.depth {
@@ -209,10 +214,18 @@ impl SegmentWriter {
         let Some(open) = &self.open else {
             return Err(self.ended());
         };
-        match open.flushed.elapsed() >= self.params.flush_every {
+        let is_due = open.flushed.elapsed() >= self.params.flush_every;
+        match is_due || self.waiting() >= self.params.flush_every {
             true => self.flush(),
             false => Ok(()),
         }
+    }
+
+    /// How much of the device's time waits in memory: after a pause of the process frames come faster than the clock goes.
+    fn waiting(&self) -> Duration {
+        let span = self.waits_since.zip(self.last_frame);
+        let nanos = span.map_or(0, |(first, last)| last.0 - first.0);
+        Duration::from_nanos(nanos.unsigned_abs())
     }
 
     /// Hands to the disk what was given so far, and does what else is due.
@@ -225,6 +238,7 @@ impl SegmentWriter {
         let is_due = |open: &OpenSegment| now - open.synced >= self.params.sync_every;
         let sync = self.open.as_ref().is_some_and(is_due);
         self.in_segment(|open| open.segment.flush())?;
+        self.waits_since = None;
         if sync {
             self.describe()?;
         }
