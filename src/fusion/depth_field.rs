@@ -10,12 +10,12 @@
 //! Not for a Kinect II: what multipath leaves there moves with the object in the image and is taken for a field. It passes the
 //! test on halves (0.38 of the disagreement on the recorded bust), and the surface gets worse, 1.5 to 2.1 mm.
 
+use super::frame_patches::{self, MotionFit, Patch};
 use super::keyframes::Keyframe;
 use super::volume::TsdfVolume;
-use crate::geometry::{CellGrid, DepthPatch, RayGrid};
+use crate::geometry::{CellGrid, RayGrid};
 use depth_camera::Image;
-use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
-use rayon::prelude::*;
+use nalgebra::{Matrix3, Vector3, Vector6};
 
 /// How much too long the depth of a Kinect I is, by direction: `offset · z²` metres, for it comes of a disparity that is off
 /// by a constant.
@@ -28,16 +28,6 @@ pub struct DepthField {
 
 /// Columns of the field.
 const COLUMNS: usize = 32;
-/// Pixels between those that are looked at.
-const STEP_PX: usize = 4;
-/// Most frames that are looked at.
-const MAX_FRAMES: usize = 120;
-/// Fewer frames cannot be told from their noise.
-const MIN_FRAMES: usize = 12;
-/// More slanting patches are not looked at: a small turn of the normal is a large range there.
-const MIN_COSINE: f64 = 0.5;
-/// Fewer patches and a frame's pose takes up all that there is.
-const MIN_PATCHES: usize = 60;
 /// Distances to the model beyond this are no error of the field, metres.
 const MAX_DISTANCE_M: f64 = 0.006;
 /// A cell that so many frames have seen is trusted by half.
@@ -52,16 +42,6 @@ const MIN_EXPLAINED: f64 = 0.02;
 /// came as far as six.
 const SHOWN_SHARE: f64 = 0.6;
 
-/// A patch of a frame against the model.
-struct Sample {
-    cell: usize,
-    /// How much too long its depth is, over z².
-    excess: f64,
-    /// Derivative of that by a motion of the camera.
-    by_motion: Vector6<f64>,
-    weight: f64,
-}
-
 impl DepthField {
     /// The field that frames show against the model they were fused into; `None` if it is not to be believed.
     pub(super) fn measure(
@@ -69,29 +49,20 @@ impl DepthField {
         volume: &TsdfVolume,
         rays: &RayGrid,
     ) -> Option<Self> {
-        let every = frames.len().div_ceil(MAX_FRAMES).max(1);
-        let frames: Vec<&Keyframe> = frames.iter().step_by(every).collect();
         let i = rays.camera().intrinsics();
         let cells = CellGrid::new(i.width, i.height, COLUMNS);
+        let patches = frame_patches::of_frames(frames, volume, rays, &cells, MAX_DISTANCE_M)?;
+        let patches: Vec<&[Patch]> = patches.iter().map(|(_, patches)| &patches[..]).collect();
         let empty = DepthField {
             cells,
             offsets: vec![0.0; cells.n_cells()],
         };
-        let samples: Vec<Vec<Sample>> = frames
-            .par_iter()
-            .map(|frame| empty.samples(frame, volume, rays))
-            .filter(|samples| samples.len() >= MIN_PATCHES)
-            .collect();
-        if samples.len() < MIN_FRAMES {
-            return None;
-        }
-        let (even, odd) = halves(&samples);
+        let (even, odd) = frame_patches::halves(&patches);
         let explained =
             0.5 * (empty.fitted(&even).explains(&odd) + empty.fitted(&odd).explains(&even));
-        let all: Vec<&[Sample]> = samples.iter().map(Vec::as_slice).collect();
-        let field = empty.fitted(&all);
+        let field = empty.fitted(&patches);
         tracing::info!(
-            frames = all.len(),
+            frames = patches.len(),
             explained,
             rms = field.rms(),
             "depth field: what one half of the frames explains of the other"
@@ -134,59 +105,17 @@ impl DepthField {
         Image::from_vec(depth_m.width(), depth_m.height(), shorter.collect())
     }
 
-    fn samples(&self, frame: &Keyframe, volume: &TsdfVolume, rays: &RayGrid) -> Vec<Sample> {
-        let depth_m = frame.depth_m();
-        let pose = &frame.world_from_camera;
-        let sample = |cell: usize| {
-            let square = self.cells.square(cell, STEP_PX);
-            // An edge is no place to measure.
-            let centre = DepthPatch::fit(&depth_m, rays, square)?.centre;
-            let (mut sum, mut gradient, mut n) = (0.0, Vector3::zeros(), 0);
-            for (u, v) in square.pixels() {
-                let z = *depth_m.at(u, v);
-                let point = pose * Point3::from((rays.direction(u, v) * z).cast::<f64>());
-                let sample = volume.sample_with_gradient(&point.coords.cast());
-                if let Some((distance, slope)) = sample.filter(|_| z > 0.0) {
-                    sum += f64::from(distance);
-                    gradient += slope.cast::<f64>();
-                    n += 1;
-                }
-            }
-            let distance = sum / f64::from(n);
-            if n < 8 || distance.abs() > MAX_DISTANCE_M {
-                return None;
-            }
-            let normal = pose.rotation.inverse() * gradient.try_normalize(0.0)?;
-            let towards = -centre.coords.try_normalize(0.0)?;
-            let cosine = normal.dot(&towards);
-            if cosine < MIN_COSINE {
-                return None;
-            }
-            // Depth that is too long lies behind the surface, and shortens the signed distance by its cosine.
-            let depth_by_distance = -1.0 / (centre.coords.norm() * cosine * centre.z);
-            let turn = centre.coords.cross(&normal);
-            let motion = Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
-            Some(Sample {
-                cell,
-                excess: distance * depth_by_distance,
-                by_motion: motion * depth_by_distance,
-                weight: cosine * cosine,
-            })
-        };
-        (0..self.offsets.len()).filter_map(sample).collect()
-    }
-
     /// The field that fits frames best, in turn with their poses.
-    fn fitted(&self, frames: &[&[Sample]]) -> Self {
+    fn fitted(&self, frames: &[&[Patch]]) -> Self {
         let mut field = self.clone();
         for _ in 0..ROUNDS {
             let mut sums = vec![(0.0, 0.0); field.offsets.len()];
-            for samples in frames {
-                let motion = field.motion(samples);
-                for sample in *samples {
-                    let (sum, weights) = &mut sums[sample.cell];
-                    *sum += sample.weight * (sample.excess - sample.by_motion.dot(&motion));
-                    *weights += sample.weight;
+            for patches in frames {
+                let motion = field.motion(patches);
+                for patch in *patches {
+                    let (sum, weights) = &mut sums[patch.cell];
+                    *sum += patch.weight * (patch.excess - patch.by_motion.dot(&motion));
+                    *weights += patch.weight;
                 }
             }
             field.offsets = smoothed(&self.cells, &sums);
@@ -196,31 +125,23 @@ impl DepthField {
     }
 
     /// How a frame is best moved, the field taken off.
-    fn motion(&self, samples: &[Sample]) -> Vector6<f64> {
-        let (mut normal_matrix, mut right) = (Matrix6::zeros(), Vector6::zeros());
-        for sample in samples {
-            let row = sample.by_motion;
-            normal_matrix += sample.weight * row * row.transpose();
-            right += sample.weight * row * (sample.excess - self.offsets[sample.cell]);
-        }
-        let damping = 1e-6 * normal_matrix.trace();
-        let factor = (normal_matrix + Matrix6::identity() * damping).cholesky();
-        factor.map_or_else(Vector6::zeros, |factor| factor.solve(&right))
+    fn motion(&self, patches: &[Patch]) -> Vector6<f64> {
+        MotionFit::new(patches).explaining(|patch| patch.excess - self.offsets[patch.cell])
     }
 
     /// The share of frames' disagreement with the model that the field explains.
-    fn explains(&self, frames: &[&[Sample]]) -> f64 {
+    fn explains(&self, frames: &[&[Patch]]) -> f64 {
         let nothing = DepthField {
             offsets: vec![0.0; self.offsets.len()],
             ..self.clone()
         };
         let left = |field: &DepthField| -> f64 {
-            let of_frame = |samples: &&[Sample]| -> f64 {
-                let motion = field.motion(samples);
-                let squares = samples.iter().map(|sample| {
+            let of_frame = |patches: &&[Patch]| -> f64 {
+                let motion = field.motion(patches);
+                let squares = patches.iter().map(|patch| {
                     let left =
-                        sample.excess - sample.by_motion.dot(&motion) - field.offsets[sample.cell];
-                    sample.weight * left * left
+                        patch.excess - patch.by_motion.dot(&motion) - field.offsets[patch.cell];
+                    patch.weight * left * left
                 });
                 squares.sum()
             };
@@ -244,12 +165,6 @@ impl DepthField {
             }
         }
     }
-}
-
-/// Frames by turns.
-fn halves(samples: &[Vec<Sample>]) -> (Vec<&[Sample]>, Vec<&[Sample]>) {
-    let every_second = |first: usize| samples.iter().skip(first).step_by(2).map(Vec::as_slice);
-    (every_second(0).collect(), every_second(1).collect())
 }
 
 /// Means over three by three cells, which fade to nothing where little was seen.
@@ -326,13 +241,14 @@ mod tests {
         };
         // Mean square of what a field leaves of a frame that is moved as fits best.
         let left = |frame: &Keyframe, field: &DepthField| {
-            let samples = field.samples(frame, &fusion.volume, &rays);
-            let motion = field.motion(&samples);
-            let squares = samples.iter().map(|sample| {
-                let moved = sample.by_motion.dot(&motion);
-                (sample.excess - moved - field.offsets[sample.cell]).powi(2)
+            let (volume, cells) = (&fusion.volume, &field.cells);
+            let patches = frame_patches::of_frame(frame, volume, &rays, cells, MAX_DISTANCE_M);
+            let motion = field.motion(&patches);
+            let squares = patches.iter().map(|patch| {
+                let moved = patch.by_motion.dot(&motion);
+                (patch.excess - moved - field.offsets[patch.cell]).powi(2)
             });
-            squares.sum::<f64>() / samples.len() as f64
+            squares.sum::<f64>() / patches.len() as f64
         };
         let (_, without, _) = seen(0.0);
         let noise = left(&without[12], &nothing);

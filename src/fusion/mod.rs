@@ -49,11 +49,13 @@ mod thin_parts;
 mod depth_field;
 mod fragment_alignment;
 mod fragments;
+mod frame_patches;
 mod keyframes;
 mod loop_closing;
 mod packed_depth;
 mod pose_correction;
 mod pose_graph;
+mod rolling_shutter;
 
 #[cfg(test)]
 pub(crate) mod bench_tests;
@@ -81,6 +83,7 @@ pub use params::FusionParams;
 pub use polish::PolishParams;
 pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
+pub use rolling_shutter::{RollingShutter, velocities};
 pub use steps::{FusionStep, OnStep};
 pub use surface_patch::{LatticeEdge, SurfacePatch};
 
@@ -283,6 +286,11 @@ impl Fusion {
     /// The slow error of a Kinect I's depth that the fused frames show against the model; `None` if they show none.
     pub fn depth_field(&self, rays: &RayGrid) -> Option<DepthField> {
         DepthField::measure(self.keyframes(), &self.volume, rays)
+    }
+
+    /// How long the rows of a Kinect I take to be read, as the fused frames show against the model; `None` if they do not show it.
+    pub fn rolling_shutter(&self, rays: &RayGrid) -> Option<RollingShutter> {
+        RollingShutter::measure(self.keyframes(), &self.volume, rays)
     }
 
     /// Says that frames are missing between the last one and the next, which may show another place.

@@ -43,6 +43,8 @@ pub struct FusionParams {
     pub max_speed_m_per_s: f64,
     /// Whether the slow error of a Kinect I is measured by the scan itself and taken off.
     pub depth_field: bool,
+    /// Whether the time in which a Kinect I's rows are read is measured by the scan itself, and its motion meanwhile taken off.
+    pub rolling_shutter: bool,
     /// How often a scan may be fused again at its end with what it has told of its depth.
     pub max_revisions: usize,
     /// Polishing of given poses.
@@ -71,6 +73,7 @@ impl Default for FusionParams {
             max_rotation_rad_per_s: 4.0,
             max_speed_m_per_s: 2.0,
             depth_field: true,
+            rolling_shutter: true,
             max_revisions: 3,
             use_infrared: true,
             polish: PolishParams::default(),

@@ -8,7 +8,7 @@ use super::{
     Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome, align,
     gates, icp,
 };
-use crate::geometry::{Pose, motion_between};
+use crate::geometry::{Motion, Pose, motion_between};
 use depth_camera::Image;
 use serde::{Deserialize, Serialize};
 
@@ -35,6 +35,14 @@ impl Default for PolishParams {
 }
 
 impl PolishParams {
+    /// How far given poses may err.
+    fn reach(&self) -> Motion {
+        Motion {
+            rotation_rad: self.max_rotation_rad,
+            translation_m: self.max_translation_m,
+        }
+    }
+
     /// Checks every value against its bound by `within(key, value, low, high)`.
     pub(super) fn validate(
         &self,
@@ -60,7 +68,7 @@ impl Fusion {
         time_secs: f64,
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
-        let outcome = self.fuse_polished(depth, time_secs, world_from_camera);
+        let outcome = self.fuse_polished(depth, time_secs, world_from_camera, None);
         if let TrackingOutcome::Tracked { fit: None, .. } = outcome {
             // Before the first frame there is nothing to lie on.
             self.n_unpolished += usize::from(self.n_fused > 1);
@@ -69,15 +77,17 @@ impl Fusion {
     }
 
     /// Fuses a frame of another model once more, with its depth (m) corrected otherwise, where it lies best on this one near
-    /// where it is now known to lie, or there, and keeps it for closing loops as if it had been tracked.
+    /// where it is now known to lie, `reach` of that at most, or there, and keeps it for closing loops as if it had been tracked.
+    /// Without a `reach` of its own it may go as far as given poses err.
     pub fn fuse_anew(
         &mut self,
         depth: &Image<f32>,
         frame: &Keyframe,
         world_from_camera: &Pose,
+        reach: Option<Motion>,
     ) -> TrackingOutcome {
         self.stretch = frame.stretch;
-        let outcome = self.fuse_polished(depth, frame.time_secs, world_from_camera);
+        let outcome = self.fuse_polished(depth, frame.time_secs, world_from_camera, reach);
         if let TrackingOutcome::Tracked { fit, .. } = &outcome {
             self.remember(fit.as_ref());
         }
@@ -89,12 +99,13 @@ impl Fusion {
         depth: &Image<f32>,
         time_secs: f64,
         given: &Pose,
+        reach: Option<Motion>,
     ) -> TrackingOutcome {
         if !self.eye.take(depth) {
             return TrackingOutcome::NoDepth;
         }
         let on_step: &mut OnStep = &mut |_: FusionStep| {};
-        let (pose, fit) = match self.polish(given, on_step) {
+        let (pose, fit) = match self.polish(given, reach, on_step) {
             Ok((pose, fit)) => (pose, Some(fit)),
             Err(_) => (*given, None),
         };
@@ -111,7 +122,12 @@ impl Fusion {
     }
 
     /// Aligns the frame in hand to the model as seen from its given pose, and judges the result.
-    fn polish(&mut self, given: &Pose, on_step: &mut OnStep) -> Result<(Pose, Fit), LossReason> {
+    fn polish(
+        &mut self,
+        given: &Pose,
+        reach: Option<Motion>,
+        on_step: &mut OnStep,
+    ) -> Result<(Pose, Fit), LossReason> {
         let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
         // Given views may lie far apart: what the last one saw may not be in this one at all.
@@ -126,10 +142,8 @@ impl Fusion {
             align(eye, &model, volume, given, params, None, on_step).ok_or(nothing)?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params)?;
         let motion = motion_between(given, &pose);
-        let bound = &params.polish;
-        if motion.rotation_rad > bound.max_rotation_rad
-            || motion.translation_m > bound.max_translation_m
-        {
+        let bound = reach.unwrap_or_else(|| params.polish.reach());
+        if motion.rotation_rad > bound.rotation_rad || motion.translation_m > bound.translation_m {
             return Err(LossReason::Jump {
                 rotation_rad: motion.rotation_rad,
                 translation_m: motion.translation_m,

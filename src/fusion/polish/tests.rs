@@ -110,7 +110,7 @@ fn frames_that_are_fused_anew_are_kept_as_tracked_ones_are() {
     let mut anew = fusion(camera);
     let mut poses = Vec::new();
     for (frame, given) in tracked.keyframes().iter().zip(perturbed(&truth)) {
-        match anew.fuse_anew(&frame.depth_m(), frame, &given) {
+        match anew.fuse_anew(&frame.depth_m(), frame, &given, None) {
             TrackingOutcome::Tracked {
                 world_from_camera, ..
             } => poses.push(world_from_camera),

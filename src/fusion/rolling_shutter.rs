@@ -1,0 +1,372 @@
+//! Rows that are read one after the other. The infrared sensor of a Kinect I is read from the top row to the bottom one in about the
+//! time from frame to frame (Ringaby, Forssén, *Scan rectification for structured light range sensors with rolling shutters*,
+//! ICCV 2011), so that a turning camera sees the upper part of its image from elsewhere than the lower one: at 50° a second by 1.5°.
+//!
+//! Nothing in a recording says how long the sensor takes. The frames of a moving camera do, by what differs from the model
+//! in proportion to row and velocity once each frame is moved as fits best; it is believed only if what one half of the frames shows
+//! explains the other half. Depth is then turned into what the camera would have measured had all rows been read with the middle
+//! one, so that tracking, fusion and everything after them know of global shutters alone.
+
+use super::frame_patches::{self, MotionFit, Patch};
+use super::keyframes::Keyframe;
+use super::noise::DepthNoise;
+use super::preprocess::SAME_SURFACE_SIGMAS;
+use super::track::STEADY_SECS;
+use super::volume::TsdfVolume;
+use crate::geometry::{CellGrid, Pose, RayGrid};
+use depth_camera::Image;
+use nalgebra::{Point3, Vector2, Vector3, Vector6};
+use rayon::prelude::*;
+
+/// How long a sensor takes to read its rows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RollingShutter {
+    /// Seconds from the first row to the last.
+    pub readout_secs: f64,
+}
+
+/// Columns of the patches that are compared with the model.
+const COLUMNS: usize = 32;
+/// Distances to the model beyond this are no error of the shutter, metres: half of what a quick turn of 100° a second does at 2 m.
+const MAX_DISTANCE_M: f64 = 0.03;
+/// A shutter that explains less of the other half's disagreement is not believed.
+const MIN_EXPLAINED: f64 = 0.02;
+/// A shorter time is not worth fusing again, seconds.
+const MIN_READOUT_SECS: f64 = 0.001;
+/// No sensor takes longer than from frame to frame, seconds.
+const MAX_READOUT_SECS: f64 = 1.0 / 30.0;
+/// Steps of the search for the pixel that saw a ray; each is exact to the change of the shift over the last.
+const STEPS: usize = 3;
+
+/// What the patches of one frame say of the readout: the sum of squares that they leave falls by `2 right t − squares t²` with a
+/// readout of t, from `left`.
+#[derive(Clone, Copy, Debug, Default)]
+struct Evidence {
+    squares: f64,
+    right: f64,
+    left: f64,
+}
+
+impl RollingShutter {
+    /// The shutter that frames show against the model they were fused into; `None` if it is not to be believed.
+    pub(super) fn measure(
+        frames: &[Keyframe],
+        volume: &TsdfVolume,
+        rays: &RayGrid,
+    ) -> Option<Self> {
+        let i = rays.camera().intrinsics();
+        let cells = CellGrid::new(i.width, i.height, COLUMNS);
+        let path: Vec<(f64, Pose)> = frames
+            .iter()
+            .map(|frame| (frame.time_secs, frame.world_from_camera))
+            .collect();
+        let velocities = velocities(&path);
+        let patches = frame_patches::of_frames(frames, volume, rays, &cells, MAX_DISTANCE_M)?;
+        let evidence: Vec<Evidence> = patches
+            .iter()
+            .map(|(index, patches)| evidence(patches, &cells, &velocities[*index]))
+            .collect();
+        let (even, odd) = frame_patches::halves(&evidence);
+        let explained = 0.5
+            * (sum(&odd).explained_by(sum(&even).readout_secs())
+                + sum(&even).explained_by(sum(&odd).readout_secs()));
+        let readout_secs = sum(&evidence).readout_secs();
+        tracing::info!(
+            frames = evidence.len(),
+            explained,
+            readout_ms = 1e3 * readout_secs,
+            "rolling shutter: what one half of the frames explains of the other"
+        );
+        (explained >= MIN_EXPLAINED && readout_secs >= MIN_READOUT_SECS)
+            .then_some(RollingShutter { readout_secs })
+    }
+
+    /// The shutter of which this one was measured after that `further` time had been left over.
+    pub fn plus(&self, further: &RollingShutter) -> Self {
+        RollingShutter {
+            readout_secs: (self.readout_secs + further.readout_secs).min(MAX_READOUT_SECS),
+        }
+    }
+
+    /// A depth image (metres, 0 is none) as it would be had all rows been read with the middle one, by a camera that moves with
+    /// `velocity`: turn (rad/s) and shift (m/s) in its own frame.
+    pub fn corrected(
+        &self,
+        depth_m: &Image<f32>,
+        velocity: &Vector6<f64>,
+        rays: &RayGrid,
+        noise: &DepthNoise,
+    ) -> Image<f32> {
+        let (width, height) = (depth_m.width(), depth_m.height());
+        let scan = Scan {
+            depth_m,
+            rays,
+            noise,
+            turn: velocity.fixed_rows::<3>(0).into(),
+            shift: velocity.fixed_rows::<3>(3).into(),
+            secs_a_row: self.readout_secs / (height - 1) as f64,
+        };
+        let mut out = vec![0.0f32; width * height];
+        out.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
+            for (u, out) in row.iter_mut().enumerate() {
+                *out = scan.seen_at(u, v).unwrap_or(0.0);
+            }
+        });
+        Image::from_vec(width, height, out)
+    }
+}
+
+/// The velocity of a camera at each of its poses (seconds, world from camera, in order of time), by the neighbours in time: turn
+/// (rad/s) and shift (m/s) in the camera's frame. None is known where frames are missing.
+pub fn velocities(path: &[(f64, Pose)]) -> Vec<Vector6<f64>> {
+    let is_near = |a: usize, b: usize| path[b].0 - path[a].0 <= STEADY_SECS;
+    let at = |index: usize| {
+        let before = index
+            .checked_sub(1)
+            .filter(|&before| is_near(before, index));
+        let after = Some(index + 1).filter(|&after| after < path.len() && is_near(index, after));
+        let ((start, from), (end, to)) =
+            (path[before.unwrap_or(index)], path[after.unwrap_or(index)]);
+        if end <= start {
+            return Vector6::zeros();
+        }
+        let turn = (from.rotation.inverse() * to.rotation).scaled_axis();
+        let shift =
+            path[index].1.rotation.inverse() * (to.translation.vector - from.translation.vector);
+        Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z) / (end - start)
+    };
+    (0..path.len()).map(at).collect()
+}
+
+fn evidence(patches: &[Patch], cells: &CellGrid, velocity: &Vector6<f64>) -> Evidence {
+    let fit = MotionFit::new(patches);
+    // A patch in the lower half is read later, when the camera has moved on: its points lie where the camera's own motion, undone,
+    // takes them.
+    let rows = cells.rows() as f64;
+    let by_readout = |patch: &Patch| {
+        let row = (patch.cell / cells.columns()) as f64;
+        -((row + 0.5) / rows - 0.5) * patch.by_motion.dot(velocity)
+    };
+    let motion = fit.explaining(|patch| patch.excess);
+    let moved = fit.explaining(by_readout);
+    patches.iter().fold(Evidence::default(), |sum, patch| {
+        let left = patch.excess - patch.by_motion.dot(&motion);
+        let slope = by_readout(patch) - patch.by_motion.dot(&moved);
+        Evidence {
+            squares: sum.squares + patch.weight * slope * slope,
+            right: sum.right + patch.weight * slope * left,
+            left: sum.left + patch.weight * left * left,
+        }
+    })
+}
+
+fn sum(evidence: &[Evidence]) -> Evidence {
+    evidence
+        .iter()
+        .fold(Evidence::default(), |sum, one| Evidence {
+            squares: sum.squares + one.squares,
+            right: sum.right + one.right,
+            left: sum.left + one.left,
+        })
+}
+
+impl Evidence {
+    /// The readout that leaves least, seconds; negative where rows seem to be read from the bottom.
+    fn readout_secs(&self) -> f64 {
+        self.right / self.squares.max(f64::MIN_POSITIVE)
+    }
+
+    /// Share of what is left that a readout explains.
+    fn explained_by(&self, readout_secs: f64) -> f64 {
+        let falls_by = (2.0 * self.right - self.squares * readout_secs) * readout_secs;
+        falls_by / self.left.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// A depth image whose rows were read by a moving camera.
+struct Scan<'a> {
+    depth_m: &'a Image<f32>,
+    rays: &'a RayGrid,
+    noise: &'a DepthNoise,
+    turn: Vector3<f64>,
+    shift: Vector3<f64>,
+    secs_a_row: f64,
+}
+
+impl Scan<'_> {
+    /// Depth along the ray of a pixel at the time of the middle row.
+    fn seen_at(&self, u: usize, v: usize) -> Option<f32> {
+        let ray = self.rays.direction(u, v).cast::<f64>();
+        if ray.x.is_nan() {
+            return None;
+        }
+        // The pixel that saw the point on this ray, and when, are found in turn, from this one on.
+        let mut pixel = Vector2::new(u as f64, v as f64);
+        for _ in 0..STEPS {
+            let z = f64::from(
+                *self
+                    .depth_m
+                    .at(pixel.x.round() as usize, pixel.y.round() as usize),
+            );
+            let secs = self.secs_since_middle(pixel.y);
+            // Without depth nothing is known of the shift, which is less than the turn.
+            let shift = if z > 0.0 {
+                self.shift / z
+            } else {
+                Vector3::zeros()
+            };
+            let seen = ray - secs * (self.turn.cross(&ray) + shift);
+            pixel = self.rays.camera().project(&Point3::from(seen))?;
+            if !self.rays.camera().contains(&pixel, 0.0) {
+                return None;
+            }
+        }
+        let z = self.depth_between(&pixel)?;
+        let secs = self.secs_since_middle(pixel.y);
+        let [x, y] = *self
+            .rays
+            .rays()
+            .at(pixel.x.round() as usize, pixel.y.round() as usize);
+        let turned = self.turn.x * f64::from(y) - self.turn.y * f64::from(x);
+        Some((z * (1.0 + secs * turned) + secs * self.shift.z) as f32)
+    }
+
+    fn secs_since_middle(&self, row: f64) -> f64 {
+        (row - 0.5 * (self.depth_m.height() - 1) as f64) * self.secs_a_row
+    }
+
+    /// Depth between pixels of one surface, otherwise that of the nearest pixel.
+    fn depth_between(&self, pixel: &Vector2<f64>) -> Option<f64> {
+        let nearest = *self
+            .depth_m
+            .at(pixel.x.round() as usize, pixel.y.round() as usize);
+        if nearest <= 0.0 {
+            return None;
+        }
+        let (left, top) = (pixel.x.floor() as usize, pixel.y.floor() as usize);
+        let right = (left + 1).min(self.depth_m.width() - 1);
+        let bottom = (top + 1).min(self.depth_m.height() - 1);
+        let corners = [(left, top), (right, top), (left, bottom), (right, bottom)]
+            .map(|(u, v)| *self.depth_m.at(u, v));
+        let reach = SAME_SURFACE_SIGMAS * self.noise.sigma_m(nearest);
+        if corners.iter().any(|z| (z - nearest).abs() > reach) {
+            return Some(f64::from(nearest));
+        }
+        let (along, down) = (pixel.x.fract(), pixel.y.fract());
+        let [a, b, c, d] = corners.map(f64::from);
+        Some((a + (b - a) * along) * (1.0 - down) + (c + (d - c) * along) * down)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::Fusion;
+    use crate::fusion::packed_depth::PackedDepth;
+    use crate::fusion::tests::{frames, small_params};
+    use crate::geometry::camera::tests::distorted_camera;
+    use crate::geometry::increment;
+    use depth_camera::Sensor;
+
+    const READOUT: RollingShutter = RollingShutter { readout_secs: 0.03 };
+
+    /// Depth of a slanted plane along a ray of a camera at a pose.
+    fn plane_depth(ray: &Vector3<f64>, from_camera: &Pose) -> f64 {
+        let (normal, distance_m) = (Vector3::new(0.3, -0.2, -1.0).normalize(), -1.1);
+        (distance_m - normal.dot(&from_camera.translation.vector))
+            / normal.dot(&(from_camera.rotation * ray))
+    }
+
+    #[test]
+    fn rows_are_put_where_the_middle_one_saw_them() {
+        let rays = RayGrid::new(distorted_camera());
+        let (width, height) = (rays.rays().width(), rays.rays().height());
+        // 70° a second, and half a metre.
+        let velocity = Vector6::new(0.7, 0.9, -0.5, 0.2, -0.3, 0.4);
+        let secs = |v: usize| (v as f64 / (height - 1) as f64 - 0.5) * READOUT.readout_secs;
+        let image = |pose_of_row: &dyn Fn(usize) -> Pose| {
+            let depth = (0..width * height).map(|pixel| {
+                let ray = rays.direction(pixel % width, pixel / width).cast();
+                plane_depth(&ray, &pose_of_row(pixel / width)) as f32
+            });
+            Image::from_vec(width, height, depth.collect())
+        };
+        let read = image(&|v| increment(&(velocity * secs(v))));
+        let at_once = image(&|_| Pose::identity());
+        let noise = DepthNoise::of_sensor(Sensor::Kinect1);
+        let corrected = READOUT.corrected(&read, &velocity, &rays, &noise);
+        let worst = |image: &Image<f32>| {
+            let pairs = image.data().iter().zip(at_once.data());
+            let off = pairs.filter(|(z, _)| **z > 0.0).map(|(a, b)| (a - b).abs());
+            off.fold(0.0f32, f32::max)
+        };
+        let n_seen = corrected.data().iter().filter(|z| **z > 0.0).count();
+        assert!(n_seen as f64 > 0.9 * (width * height) as f64, "{n_seen}");
+        let (before, after) = (worst(&read), worst(&corrected));
+        assert!(
+            before > 0.01 && after < 0.02 * before,
+            "{before} -> {after}"
+        );
+    }
+
+    /// The model of frames that were read at once, and these as read with a readout, in a scan so quick that it shows.
+    fn measured(readout_secs: f64) -> Option<RollingShutter> {
+        const FRAME_SECS: f64 = 1.0 / 30.0;
+        let (frames, truth, camera) = frames(24);
+        let rays = RayGrid::new(camera);
+        let noise = DepthNoise::of_sensor(Sensor::Kinect1);
+        let mut fusion = Fusion::new(camera, noise, small_params());
+        let path: Vec<(f64, Pose)> = truth
+            .iter()
+            .enumerate()
+            .map(|(k, pose)| (k as f64 * FRAME_SECS, *pose))
+            .collect();
+        let undone = RollingShutter {
+            readout_secs: -readout_secs,
+        };
+        let mut keyframes = Vec::new();
+        for ((frame, (time_secs, pose)), velocity) in
+            frames.iter().zip(&path).zip(velocities(&path))
+        {
+            let depth = frame.depth.as_ref().expect("Kinect II");
+            fusion.fuse_at(depth, *time_secs, pose);
+            let read = undone.corrected(depth, &velocity, &rays, &noise);
+            keyframes.push(Keyframe {
+                depth: PackedDepth::pack(read.data(), depth.width(), 1.5),
+                time_secs: *time_secs,
+                world_from_camera: *pose,
+                stretch: 0,
+            });
+        }
+        RollingShutter::measure(&keyframes, &fusion.volume, &rays)
+    }
+
+    #[test]
+    fn the_readout_is_told_by_the_frames() {
+        let found = measured(READOUT.readout_secs)
+            .expect("a shutter")
+            .readout_secs;
+        assert!((found - READOUT.readout_secs).abs() < 0.005, "{found}");
+    }
+
+    #[test]
+    fn frames_that_are_read_at_once_show_none() {
+        assert_eq!(measured(0.0), None);
+    }
+
+    #[test]
+    fn rows_read_from_the_bottom_are_not_believed() {
+        assert_eq!(measured(-READOUT.readout_secs), None);
+    }
+
+    #[test]
+    fn no_velocity_is_known_across_missing_frames() {
+        let at = |secs: f64, x: f64| (secs, Pose::translation(x, 0.0, 0.0));
+        let path = [at(0.0, 0.0), at(0.1, 0.01), at(1.0, 1.0)];
+        let shifts: Vec<f64> = velocities(&path)
+            .iter()
+            .map(|v| (1e9 * v[3]).round() * 1e-9)
+            .collect();
+        assert_eq!(shifts, [0.1, 0.1, 0.0]);
+    }
+}
