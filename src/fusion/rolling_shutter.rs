@@ -272,7 +272,7 @@ mod tests {
 
     /// Depth of a slanted plane along a ray of a camera at a pose.
     fn plane_depth(ray: &Vector3<f64>, from_camera: &Pose) -> f64 {
-        let (normal, distance_m) = (Vector3::new(0.3, -0.2, -1.0).normalize(), -1.1);
+        let (normal, distance_m) = (Vector3::new(0.3, -0.2, -1.0) / 1.13f64.sqrt(), -1.1);
         (distance_m - normal.dot(&from_camera.translation.vector))
             / normal.dot(&(from_camera.rotation * ray))
     }
