@@ -135,6 +135,8 @@ pub struct Fusion {
     n_relocalised: usize,
     /// Frames whose given pose was not polished.
     n_unpolished: usize,
+    /// Whether frames lie where they were given to lie.
+    is_given: bool,
     /// Whether the frame before was not tracked.
     is_interrupted: bool,
 }
@@ -157,6 +159,7 @@ impl Fusion {
             hypothesis: None,
             n_relocalised: 0,
             n_unpolished: 0,
+            is_given: false,
             is_interrupted: false,
             params,
         }
@@ -219,7 +222,7 @@ impl Fusion {
         }
     }
 
-    /// Fuses one depth image at a pose that is known.
+    /// Fuses one depth image at a pose that is known, and keeps it.
     pub fn fuse_at(
         &mut self,
         depth: &Image<f32>,
@@ -230,17 +233,26 @@ impl Fusion {
             return TrackingOutcome::NoDepth;
         }
         self.accept(*world_from_camera, time_secs, &mut |_| {});
+        self.keep_as_given();
         TrackingOutcome::Tracked {
             world_from_camera: *world_from_camera,
             fit: None,
         }
     }
 
+    /// Whether frames were fused at, or near, poses that are known.
+    pub fn is_at_given_poses(&self) -> bool {
+        self.is_given
+    }
+
     /// At the end of a scan: takes back the drift between visits of one place and fuses every frame anew. The poses handed
     /// out so far are then to be moved by [`LoopClosure::correction`], and no more frames can be tracked. `None`, and nothing
-    /// is changed, if the camera never came back, if its frames would not fit one another as well, or as soon as `goes_on`
-    /// says no.
+    /// is changed, if poses were given, if the camera never came back, if its frames would not fit one another as well, or as soon as
+    /// `goes_on` says no.
     pub fn close_loops(&mut self, goes_on: &GoesOn) -> Option<LoopClosure> {
+        if self.is_given {
+            return None;
+        }
         let frames = self.keyframes.frames();
         let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume, goes_on)?;
         (self.volume, self.band) = (closed.volume, closed.band);
@@ -447,6 +459,23 @@ impl Fusion {
         self.hypothesis = None;
         self.is_interrupted = false;
         self.places.visit(&self.eye, &self.track);
+        self.keep();
+        let world_from_camera = self.track.world_from_camera;
+        let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
+        if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
+            && is_hardly_held
+        {
+            infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
+        }
+    }
+
+    /// Keeps the frame that was just fused at, or near, a pose that was given.
+    fn keep_as_given(&mut self) {
+        self.is_given = true;
+        self.keep();
+    }
+
+    fn keep(&mut self) {
         let Track {
             world_from_camera,
             time_secs,
@@ -454,11 +483,5 @@ impl Fusion {
         } = self.track;
         self.keyframes
             .offer(&self.eye, time_secs, &world_from_camera, self.stretch);
-        let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
-        if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
-            && is_hardly_held
-        {
-            infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
-        }
     }
 }

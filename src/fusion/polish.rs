@@ -69,9 +69,10 @@ impl Fusion {
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
         let outcome = self.fuse_polished(depth, time_secs, world_from_camera, None);
-        if let TrackingOutcome::Tracked { fit: None, .. } = outcome {
+        if let TrackingOutcome::Tracked { fit, .. } = &outcome {
             // Before the first frame there is nothing to lie on.
-            self.n_unpolished += usize::from(self.n_fused > 1);
+            self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 1);
+            self.keep_as_given();
         }
         outcome
     }

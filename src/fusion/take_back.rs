@@ -9,7 +9,7 @@ use crate::geometry::Pose;
 impl Fusion {
     /// Takes back every frame later than `after_secs` of the device's clock. The next frame is tracked as after an
     /// interruption, or begins the model anew if none is left. False, and nothing is changed, if some frames are to stay
-    /// and none was kept, as at given poses.
+    /// and none was kept.
     pub fn take_back(&mut self, after_secs: f64) -> bool {
         let n_left = self.n_kept_until(after_secs);
         if after_secs > f64::NEG_INFINITY && self.keyframes.frames().is_empty() {
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn a_model_of_which_nothing_is_left_begins_anew() {
-        let (frames, truth, camera) = frames(3);
+        let (frames, _, camera) = frames(3);
         let mut fusion = fused(&frames, camera);
         assert!(fusion.take_back(f64::NEG_INFINITY));
         assert!(fusion.mesh().faces.is_empty() && fusion.model().is_none());
@@ -118,13 +118,32 @@ mod tests {
             fuse(&mut fusion, &frames[2]),
             TrackingOutcome::Tracked { fit: None, .. }
         ));
+    }
 
-        let mut given = fused(&[], camera);
-        let depth = frames[0].depth.as_ref().expect("Kinect II");
-        given.fuse_at(depth, 1.0, &truth[0]);
-        given.fuse_at(depth, 2.0, &truth[0]);
-        assert!(!given.take_back(1.5), "frames at given poses are not kept");
-        assert!(given.model().is_some());
-        assert_eq!(given.n_fused(), 2);
+    #[test]
+    fn frames_at_given_poses_are_taken_back_and_none_where_none_is_kept() {
+        let (frames, truth, camera) = frames(6);
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let taken_back = |max_memory_mb: usize| {
+            let mut params = small_params();
+            params.loop_closing.max_memory_mb = max_memory_mb;
+            let mut given = Fusion::new(camera, noise, params);
+            for (k, frame) in frames.iter().enumerate() {
+                given.fuse_at(
+                    frame.depth.as_ref().expect("Kinect II"),
+                    k as f64,
+                    &truth[k],
+                );
+            }
+            let before = given.mesh().faces.len();
+            (given.take_back(3.5), before, given.mesh().faces.len())
+        };
+        let (is_done, before, after) = taken_back(512);
+        assert!(
+            is_done && after > 0 && after != before,
+            "{before} -> {after}"
+        );
+        let (is_done, before, after) = taken_back(0);
+        assert!(!is_done && after == before);
     }
 }

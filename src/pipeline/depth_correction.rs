@@ -165,8 +165,7 @@ impl DepthCorrection {
         let mut search = self.live.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
-        // Frames at given poses are not kept, nor any without memory for them; and a white level may be known of a sensor whose
-        // depth is not freed of multipath.
+        // Without memory for them no frames are kept; and a white level may be known of a sensor whose depth is not freed of multipath.
         let can_be_fused = !fusion.keyframes().is_empty();
         let has_multipath = self.multipath.is_some() && self.live.is_some() && can_be_fused;
         for round in 0..self.fusion.max_revisions {
@@ -363,7 +362,11 @@ impl DepthCorrection {
                 depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
             }
             let here = carried * before;
-            let outcome = fusion.fuse_anew(&depth, frame, &here, reach);
+            let outcome = match (original.is_at_given_poses(), self.fusion.polish.enabled) {
+                (false, _) => fusion.fuse_anew(&depth, frame, &here, reach),
+                (true, true) => fusion.fuse_near(&depth, time_secs, &here),
+                (true, false) => fusion.fuse_at(&depth, time_secs, &here),
+            };
             let TrackingOutcome::Tracked {
                 world_from_camera,
                 fit,
@@ -372,8 +375,9 @@ impl DepthCorrection {
                 n_lost += 1;
                 continue;
             };
-            n_lost += usize::from(fit.is_none() && !knots.is_empty());
-            if known.shutter.is_some() {
+            let is_lost = fit.is_none() && !knots.is_empty() && !original.is_at_given_poses();
+            n_lost += usize::from(is_lost);
+            if reach.is_some() && !original.is_at_given_poses() {
                 carried = world_from_camera * before.inverse();
             }
             knots.push((time_secs, world_from_camera * tracked.inverse()));

@@ -66,8 +66,22 @@ fn a_tracked_scan_is_fused_again_on_its_model_with_every_frame_where_it_was() {
 }
 
 #[test]
-fn a_scan_at_given_poses_stays_as_it_was_fused() {
+fn a_scan_at_given_poses_is_fused_again_and_every_frame_stays_where_it_was_given() {
     let (correction, given) = scanned(Fusion::fuse_at);
-    assert!(given.keyframes().is_empty() && given.n_fused() == N_FRAMES);
-    assert!(correction.revise(&given, &|_| true).is_none());
+    let revised = correction
+        .revise(&given, &|_| true)
+        .expect("light comes over the table");
+    assert_eq!(revised.fusion.n_fused(), N_FRAMES);
+    let pairs = revised.fusion.keyframes().iter().zip(given.keyframes());
+    for (after, before) in pairs {
+        let (time_secs, pose) = (before.time_secs, &before.world_from_camera);
+        let moved = revised.correction.apply(time_secs, pose);
+        for pose_after in [&after.world_from_camera, &moved] {
+            let apart = motion_between(pose_after, pose);
+            assert!(apart.translation_m < 1e-9 && apart.rotation_rad < 1e-7);
+        }
+        assert_ne!(after.depth_m().data(), before.depth_m().data());
+    }
+    let mut fusion = revised.fusion;
+    assert!(fusion.close_loops(&|_| true).is_none());
 }
