@@ -8,7 +8,7 @@
 use super::clusters::Clusters;
 use super::energy::unit_normal;
 use super::expansion::Labelling;
-use super::mixture::Mixture;
+use super::mixture::{CORRELATED, Mixture};
 use super::observations::Observations;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
@@ -52,7 +52,7 @@ pub struct Albedo {
 
 /// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
-/// Cost of each neighbour in another group, in units of a negative log likelihood: V of Eq. (4).
+/// Cost of each neighbour in another group, in units of an independent negative log likelihood: V of Eq. (4).
 const POTTS: f64 = 1.5;
 
 /// Which groups are looked for.
@@ -76,27 +76,30 @@ impl Albedo {
     ) -> Option<Albedo> {
         let ratios = ratios(mesh, observations, current);
         let logs: Vec<f64> = ratios.iter().map(|ratio| log_albedo(*ratio)).collect();
-        let (n_groups, costs) = match groups.mode {
+        let (n_groups, costs, pair_cost) = match groups.mode {
             AlbedoMode::Mixture => {
                 let mixture = Mixture::fit(&logs, groups.at_most, MIN_LOG_SIGMA)?;
                 let cost = |face: usize, group| match logs[face].is_finite() {
                     true => mixture.cost(group, logs[face]),
                     false => 0.0,
                 };
-                (mixture.len(), costs(logs.len(), mixture.len(), cost))
+                let costs = costs(logs.len(), mixture.len(), cost);
+                // So many facets in the shade of a leaf tell what one of them does.
+                (mixture.len(), costs, POTTS * CORRELATED)
             }
             AlbedoMode::Paper => {
                 let own: Vec<f64> = logs.iter().map(|log| log.exp()).collect();
                 let clusters = Clusters::fit(mesh, &own, groups.at_most)?;
                 let cost = |face, group| clusters.cost(face, group);
-                (clusters.len(), costs(logs.len(), clusters.len(), cost))
+                let costs = costs(logs.len(), clusters.len(), cost);
+                (clusters.len(), costs, POTTS)
             }
         };
         let labelling = Labelling {
             costs: &costs,
             n_labels: n_groups,
             neighbours,
-            pair_cost: POTTS,
+            pair_cost,
         };
         Some(Self::of_labels(labelling.solve(), n_groups, &ratios))
     }

@@ -16,8 +16,8 @@ struct Component {
 
 /// Values are grouped into so many bins first: a scan has hundreds of thousands.
 const BINS: usize = 400;
-/// Neighbouring facets go together over about this many; the criterion must not take them for independent.
-const CORRELATED: f64 = 50.0;
+/// Neighbouring facets err together over about this many; what they tell must not be taken for independent.
+pub const CORRELATED: f64 = 50.0;
 /// Components nearer than this many sigmas are one material.
 const MIN_SEPARATION: f64 = 2.0;
 /// A material's values spread no wider than this, times the smallest deviation; what does is outliers.

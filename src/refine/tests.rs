@@ -262,3 +262,50 @@ fn what_nobody_sees_is_refused() {
         Some(RefineError::NothingVisible { n_views: 1 })
     );
 }
+
+#[test]
+fn dark_spots_are_no_other_material() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0015);
+    const DARK: f64 = 0.6;
+    // One half is dark; on the other, spots of 3 mm, as shade and stray light make them, are as dark every 10 mm.
+    let albedo = |x: f64, y: f64| {
+        let off = |x: f64| x - 0.01 * (x / 0.01).round();
+        let is_spot = x > 0.005 && off(x).hypot(off(y)) < 0.0015;
+        if x < 0.0 || is_spot { DARK } else { 1.0 }
+    };
+    let snapshots: Vec<_> = poses(0.4)
+        .iter()
+        .map(|pose| {
+            let mut snapshot = FLAT.snapshot(&optics, pose);
+            let pixels = snapshot.ir_counts.data_mut().iter_mut();
+            let seen = rays.rays().data().iter().zip(snapshot.depth_m.data());
+            for (counts, ([x, y], depth)) in pixels.zip(seen) {
+                let seen = pose * (Point3::new(*x, *y, 1.0) * *depth).cast::<f64>();
+                *counts *= albedo(seen.x, seen.y).powf(calibration.gamma) as f32;
+            }
+            snapshot
+        })
+        .collect();
+    let params = RefineParams {
+        edge_length_m: 0.0015,
+        ..RefineParams::default()
+    };
+    let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| true).expect("visible");
+    let ratios: Vec<f64> = refined
+        .albedo_groups
+        .iter()
+        .map(|(albedo, _)| albedo / ALBEDO)
+        .collect();
+    assert_eq!(ratios.len(), 2, "{ratios:?}");
+    let vertices = refined.mesh.vertices.iter().zip(&refined.labels);
+    let apart_from_border = vertices.filter(|(vertex, _)| vertex.x.abs() > 0.003);
+    let (n, n_wrong) = apart_from_border.fold((0, 0), |(n, n_wrong), (vertex, label)| {
+        (
+            n + 1,
+            n_wrong + usize::from((vertex.x < 0.0) != (*label == 0)),
+        )
+    });
+    assert!(n_wrong * 200 < n, "{n_wrong} of {n} have the other's label");
+}
