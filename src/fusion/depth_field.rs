@@ -26,8 +26,6 @@ pub struct DepthField {
     offsets: Vec<f64>,
 }
 
-/// Columns of the field.
-const COLUMNS: usize = 32;
 /// Distances to the model beyond this are no error of the field, metres.
 const MAX_DISTANCE_M: f64 = 0.006;
 /// A cell that so many frames have seen is trusted by half.
@@ -49,8 +47,7 @@ impl DepthField {
         volume: &TsdfVolume,
         rays: &RayGrid,
     ) -> Option<Self> {
-        let i = rays.camera().intrinsics();
-        let cells = CellGrid::new(i.width, i.height, COLUMNS);
+        let cells = frame_patches::cells(rays);
         let patches = frame_patches::of_frames(frames, volume, rays, &cells, MAX_DISTANCE_M)?;
         let patches: Vec<&[Patch]> = patches.iter().map(|(_, patches)| &patches[..]).collect();
         let empty = DepthField {

@@ -21,6 +21,8 @@ pub struct Patch {
     pub weight: f64,
 }
 
+/// Columns of patches in an image.
+const COLUMNS: usize = 32;
 /// Pixels between those that are looked at.
 const STEP_PX: usize = 4;
 /// Fewer pixels with a distance to the model make no patch.
@@ -33,6 +35,12 @@ const MIN_FRAMES: usize = 12;
 const MIN_COSINE: f64 = 0.5;
 /// Fewer patches and a frame's pose takes up all that there is.
 const MIN_PATCHES: usize = 60;
+
+/// The cells of an image that patches fill.
+pub fn cells(rays: &RayGrid) -> CellGrid {
+    let i = rays.camera().intrinsics();
+    CellGrid::new(i.width, i.height, COLUMNS)
+}
 
 /// The patches of frames spread evenly over a scan, each with its frame's index, that lie within `max_distance_m` of the model;
 /// `None` if too few frames have enough of them.

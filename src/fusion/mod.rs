@@ -222,29 +222,6 @@ impl Fusion {
         }
     }
 
-    /// Fuses one depth image at a pose that is known, and keeps it.
-    pub fn fuse_at(
-        &mut self,
-        depth: &Image<f32>,
-        time_secs: f64,
-        world_from_camera: &Pose,
-    ) -> TrackingOutcome {
-        if !self.eye.take(depth) {
-            return TrackingOutcome::NoDepth;
-        }
-        self.accept(*world_from_camera, time_secs, &mut |_| {});
-        self.keep_as_given();
-        TrackingOutcome::Tracked {
-            world_from_camera: *world_from_camera,
-            fit: None,
-        }
-    }
-
-    /// Whether frames were fused at, or near, poses that are known.
-    pub fn is_at_given_poses(&self) -> bool {
-        self.is_given
-    }
-
     /// At the end of a scan: takes back the drift between visits of one place and fuses every frame anew. The poses handed
     /// out so far are then to be moved by [`LoopClosure::correction`], and no more frames can be tracked. `None`, and nothing
     /// is changed, if poses were given, if the camera never came back, if its frames would not fit one another as well, or as soon as
@@ -467,12 +444,6 @@ impl Fusion {
         {
             infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
         }
-    }
-
-    /// Keeps the frame that was just fused at, or near, a pose that was given.
-    fn keep_as_given(&mut self) {
-        self.is_given = true;
-        self.keep();
     }
 
     fn keep(&mut self) {

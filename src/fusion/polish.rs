@@ -1,4 +1,4 @@
-//! Polishing poses that were measured elsewhere, by a rig, a turntable or a robot, on what is already fused.
+//! Fusing at poses that were measured elsewhere, by a rig, a turntable or a robot, and polishing these on what is already fused.
 //!
 //! The given pose is the start of the frame's alignment, and what the result is held against: one that goes farther than
 //! such poses err is a slide or a false fit, and the given pose is the better one. Frames do not drift off with the model,
@@ -60,6 +60,29 @@ impl PolishParams {
 }
 
 impl Fusion {
+    /// Fuses one depth image at a pose that is known, and keeps it.
+    pub fn fuse_at(
+        &mut self,
+        depth: &Image<f32>,
+        time_secs: f64,
+        world_from_camera: &Pose,
+    ) -> TrackingOutcome {
+        if !self.eye.take(depth) {
+            return TrackingOutcome::NoDepth;
+        }
+        self.accept(*world_from_camera, time_secs, &mut |_| {});
+        self.keep_as_given();
+        TrackingOutcome::Tracked {
+            world_from_camera: *world_from_camera,
+            fit: None,
+        }
+    }
+
+    /// Whether frames were fused at, or near, poses that are known.
+    pub fn is_at_given_poses(&self) -> bool {
+        self.is_given
+    }
+
     /// Fuses one depth image (metres, 0 is none) where it lies best on the model near a pose that is known, or at that pose:
     /// then the outcome's fit is `None`, and the frame is counted in [`Self::n_unpolished`].
     pub fn fuse_near(
@@ -93,6 +116,12 @@ impl Fusion {
             self.remember(fit.as_ref());
         }
         outcome
+    }
+
+    /// Keeps the frame that was just fused at, or near, a pose that was given.
+    fn keep_as_given(&mut self) {
+        self.is_given = true;
+        self.keep();
     }
 
     fn fuse_polished(

@@ -17,6 +17,7 @@ use crate::geometry::{CellGrid, Pose, RayGrid};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
+use std::iter::Sum;
 
 /// How long a sensor takes to read its rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,8 +26,6 @@ pub struct RollingShutter {
     pub readout_secs: f64,
 }
 
-/// Columns of the patches that are compared with the model.
-const COLUMNS: usize = 32;
 /// Distances to the model beyond this are no error of the shutter, metres: half of what a quick turn of 100° a second does at 2 m.
 const MAX_DISTANCE_M: f64 = 0.03;
 /// A shutter that explains less of the other half's disagreement is not believed.
@@ -54,8 +53,7 @@ impl RollingShutter {
         volume: &TsdfVolume,
         rays: &RayGrid,
     ) -> Option<Self> {
-        let i = rays.camera().intrinsics();
-        let cells = CellGrid::new(i.width, i.height, COLUMNS);
+        let cells = frame_patches::cells(rays);
         let path: Vec<(f64, Pose)> = frames
             .iter()
             .map(|frame| (frame.time_secs, frame.world_from_camera))
@@ -67,12 +65,13 @@ impl RollingShutter {
             .map(|(index, patches)| evidence(patches, &cells, &velocities[*index]))
             .collect();
         let (even, odd) = frame_patches::halves(&evidence);
-        let explained = 0.5
-            * (sum(&odd).explained_by(sum(&even).readout_secs())
-                + sum(&even).explained_by(sum(&odd).readout_secs()));
-        let readout_secs = sum(&evidence).readout_secs();
+        let (even, odd): (Evidence, Evidence) = (even.into_iter().sum(), odd.into_iter().sum());
+        let explained =
+            0.5 * (odd.explained_by(even.readout_secs()) + even.explained_by(odd.readout_secs()));
+        let n_frames = evidence.len();
+        let readout_secs = evidence.into_iter().sum::<Evidence>().readout_secs();
         tracing::info!(
-            frames = evidence.len(),
+            frames = n_frames,
             explained,
             readout_ms = 1e3 * readout_secs,
             "rolling shutter: what one half of the frames explains of the other"
@@ -149,25 +148,26 @@ fn evidence(patches: &[Patch], cells: &CellGrid, velocity: &Vector6<f64>) -> Evi
     };
     let motion = fit.explaining(|patch| patch.excess);
     let moved = fit.explaining(by_readout);
-    patches.iter().fold(Evidence::default(), |sum, patch| {
+    let of_patch = |patch: &Patch| {
         let left = patch.excess - patch.by_motion.dot(&motion);
         let slope = by_readout(patch) - patch.by_motion.dot(&moved);
         Evidence {
-            squares: sum.squares + patch.weight * slope * slope,
-            right: sum.right + patch.weight * slope * left,
-            left: sum.left + patch.weight * left * left,
+            squares: patch.weight * slope * slope,
+            right: patch.weight * slope * left,
+            left: patch.weight * left * left,
         }
-    })
+    };
+    patches.iter().map(of_patch).sum()
 }
 
-fn sum(evidence: &[Evidence]) -> Evidence {
-    evidence
-        .iter()
-        .fold(Evidence::default(), |sum, one| Evidence {
+impl Sum for Evidence {
+    fn sum<I: Iterator<Item = Evidence>>(all: I) -> Evidence {
+        all.fold(Evidence::default(), |sum, one| Evidence {
             squares: sum.squares + one.squares,
             right: sum.right + one.right,
             left: sum.left + one.left,
         })
+    }
 }
 
 impl Evidence {

@@ -193,10 +193,11 @@ impl DepthCorrection {
             }
             if let Some(further) = self.shutter(current) {
                 has_more = true;
-                known.shutter = Some(match known.shutter {
-                    Some(before) => before.plus(&further),
-                    None => further,
-                });
+                known.shutter = Some(
+                    known
+                        .shutter
+                        .map_or(further, |before| before.plus(&further)),
+                );
             }
             if revised.is_some() {
                 told = self.evidence(current, known.white);
@@ -222,7 +223,7 @@ impl DepthCorrection {
     }
 
     /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows;
-    /// `world_from_camera` is where the revision has it.
+    /// `world_from_camera` is where the revision has it. Its rows stay as they were read: a Kinect I rests for a shading image.
     pub fn revised_depth(
         &self,
         depth_m: &Image<f32>,
@@ -349,7 +350,8 @@ impl DepthCorrection {
             .collect();
         let velocities = velocities(&path);
         // Frames whose rows are put right lie elsewhere, and carry those after them along.
-        let reach = known.shutter.map(|_| SHUTTER_REACH);
+        let is_given = original.is_at_given_poses();
+        let reach = known.shutter.filter(|_| !is_given).map(|_| SHUTTER_REACH);
         let mut carried = Pose::identity();
         for (n_done, (frame, velocity)) in frames.iter().zip(&velocities).enumerate() {
             if !goes_on(work.at(n_done, frames.len())) {
@@ -362,7 +364,7 @@ impl DepthCorrection {
                 depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
             }
             let here = carried * before;
-            let outcome = match (original.is_at_given_poses(), self.fusion.polish.enabled) {
+            let outcome = match (is_given, self.fusion.polish.enabled) {
                 (false, _) => fusion.fuse_anew(&depth, frame, &here, reach),
                 (true, true) => fusion.fuse_near(&depth, time_secs, &here),
                 (true, false) => fusion.fuse_at(&depth, time_secs, &here),
@@ -375,9 +377,8 @@ impl DepthCorrection {
                 n_lost += 1;
                 continue;
             };
-            let is_lost = fit.is_none() && !knots.is_empty() && !original.is_at_given_poses();
-            n_lost += usize::from(is_lost);
-            if reach.is_some() && !original.is_at_given_poses() {
+            n_lost += usize::from(fit.is_none() && !knots.is_empty() && !is_given);
+            if reach.is_some() {
                 carried = world_from_camera * before.inverse();
             }
             knots.push((time_secs, world_from_camera * tracked.inverse()));

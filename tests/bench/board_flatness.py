@@ -18,27 +18,12 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from board_light_law import CELL_M, PRINT, views, within
+from relief_ply import positions, read_mesh
 
 # Heights beyond this from a plane are something else, metres.
 REACH_M = 0.02
 LOCAL_M = 0.02
 PROFILE_MM = np.arange(-8, 9, 2)
-
-
-def read_ply(path):
-    """Positions of a binary PLY's vertices, whose properties are floats and bytes."""
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    words = [line.split() for line in data[:end].decode().splitlines()]
-    n_vertices = next(int(word[2]) for word in words if word[:2] == ["element", "vertex"])
-    of_vertex = []
-    for word in words:
-        if word[0] == "element" and word[1] != "vertex":
-            break
-        if word[0] == "property":
-            of_vertex.append((word[2], {"float": "<f4", "uchar": "u1"}[word[1]]))
-    rows = np.frombuffer(data, np.dtype(of_vertex), n_vertices, end)
-    return np.stack([rows[axis] for axis in "xyz"], 1).astype(float)
 
 
 def plane(points):
@@ -120,7 +105,7 @@ def main():
     signed = dark_cells(session)
     for path in map(pathlib.Path, sys.argv[2:]):
         print(path)
-        vertices = read_ply(path)
+        vertices = positions(read_mesh(path)[0])
         # Not the matte frame's outer rim, where depth mixes board and wall.
         on_board = within(vertices[:, :2], [(-0.070, 0.155, -0.070, 0.250)]) & (np.abs(vertices[:, 2]) < 0.06)
         if on_board.sum() < 1000:

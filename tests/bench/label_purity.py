@@ -8,36 +8,12 @@ vertices, and for those that some view sees.
 """
 import sys
 
+import ate
 import numpy as np
+from relief_ply import positions, read_mesh
 from scipy.spatial import cKDTree
 
 MAX_DISTANCE_M = 0.004
-TYPES = {"float": "<f4", "uchar": "u1"}
-
-
-def read_mesh(path):
-    """Vertices with their properties, and faces, of a PLY as Relief writes it."""
-    with open(path, "rb") as file:
-        counts, properties, element = {}, [], None
-        while (words := file.readline().split()) != [b"end_header"]:
-            if words[0] == b"element":
-                element = words[1].decode()
-                counts[element] = int(words[2])
-            elif words[0] == b"property" and element == "vertex":
-                properties.append((words[2].decode(), TYPES[words[1].decode()]))
-        vertex = np.dtype(properties)
-        vertices = np.frombuffer(file.read(vertex.itemsize * counts["vertex"]), vertex)
-        faces = np.frombuffer(file.read(), [("n", "u1"), ("corners", "<i4", 3)], counts["face"])
-    return vertices, faces["corners"]
-
-
-def world_from_first(session):
-    """Rotation and translation of the first true pose."""
-    row = np.loadtxt(f"{session}/groundtruth.txt", comments="#")[0]
-    x, y, z, w = row[4:8]
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]), row[1:4]
 
 
 def purity(labels, materials, areas):
@@ -51,13 +27,14 @@ def purity(labels, materials, areas):
 
 def main(session, path):
     vertices, faces = read_mesh(path)
-    points = np.stack([vertices[axis] for axis in "xyz"], 1).astype(float)
+    points = positions(vertices)
     a, b, c = (points[faces[:, corner]] for corner in range(3))
     thirds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
     areas = sum(np.bincount(faces[:, corner], thirds, len(points)) for corner in range(3))
-    rotation, translation = world_from_first(session)
+    first = ate.read_tum(f"{session}/groundtruth.txt")[0]
+    world_from_first, translation = ate.rotation(first[4:8]), first[1:4]
     truth = np.load(f"{session}/groundtruth_mesh.npz")
-    distances, nearest = cKDTree(truth["v"]).query(points @ rotation.T + translation)
+    distances, nearest = cKDTree(truth["v"]).query(points @ world_from_first.T + translation)
     materials = np.round(truth["albedo"][nearest].astype(float), 2)
     near = distances < MAX_DISTANCE_M
     for what, chosen in [("all", near), ("seen", near & (vertices["views"] > 0))]:
