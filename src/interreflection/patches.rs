@@ -44,7 +44,7 @@ pub struct PatchGrid {
     rays: RayGrid,
     light: NearLight,
     inv_full_scale: f64,
-    inv_gamma: f64,
+    gamma: f64,
     /// One over the flat field in the middle of each patch.
     inv_flat: Vec<f64>,
     cells: CellGrid,
@@ -71,7 +71,7 @@ impl PatchGrid {
             rays,
             light,
             inv_full_scale: 1.0 / full_scale,
-            inv_gamma: 1.0 / calibration.gamma,
+            gamma: calibration.gamma,
             inv_flat,
             cells,
         }
@@ -92,6 +92,7 @@ impl PatchGrid {
     where
         T: Copy + Into<f64> + Send + Sync,
     {
+        let inv_gamma = 1.0 / self.gamma;
         (0..self.cells.n_cells())
             .into_par_iter()
             .map(|cell| {
@@ -100,11 +101,23 @@ impl PatchGrid {
                     if *depth_m.at(u, v) > 0.0 {
                         let counts: f64 = (*ir_counts.at(u, v)).into();
                         let observed = counts * self.inv_full_scale;
-                        sum += observed.powf(self.inv_gamma);
+                        sum += observed.powf(inv_gamma);
                         n += 1;
                     }
                 }
                 (sum / f64::from(n) * self.inv_flat[cell]) as f32
+            })
+            .collect()
+    }
+
+    /// What the [`Self::radiances`] of a frame would be by another response of the same camera, but for what varies within a
+    /// patch.
+    pub fn linearised_anew(&self, radiances: &[f32], by: &PatchGrid) -> Vec<f32> {
+        let exponent = self.gamma / by.gamma;
+        let patches = radiances.iter().zip(&self.inv_flat);
+        patches
+            .map(|(&radiance, inv_flat)| {
+                ((f64::from(radiance) / inv_flat).powf(exponent) * inv_flat) as f32
             })
             .collect()
     }

@@ -95,6 +95,21 @@ impl Multipath {
         RangeBias::new(cells, &bounce::bounces(&receivers, &scene.sources()))
     }
 
+    /// Lets a prediction tell what it would by another calibration of the same camera; the bias by which its depth was corrected
+    /// stays.
+    pub fn recalibrate(&self, prediction: &mut Prediction, by: &Multipath) {
+        prediction.radiances = self.grid.linearised_anew(&prediction.radiances, &by.grid);
+    }
+
+    /// The white level if the brightest surfaces of a frame of the given depth (m) are plaster.
+    pub fn plausible_white(
+        &self,
+        depth_m: &Image<f32>,
+        prediction: &Prediction,
+    ) -> Option<WhiteLevel> {
+        LitScene::of_radiances(&self.grid, depth_m, &prediction.radiances).plausible_white()
+    }
+
     /// A bias that was predicted finely, by the patches that views are compared by.
     pub fn by_patches(&self, bias: &RangeBias) -> RangeBias {
         bias.coarsened(self.grid.cells())

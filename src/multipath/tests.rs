@@ -318,3 +318,29 @@ fn only_time_of_flight_with_its_own_light_has_multipath() {
     };
     assert!(Multipath::new(&dark, &scene.calibration).is_none());
 }
+
+#[test]
+fn a_prediction_by_a_wrong_response_becomes_that_of_the_right_one() {
+    let scene = Scene::new();
+    let wrong = Calibration {
+        gamma: 1.3 * scene.calibration.gamma,
+        ..scene.calibration.clone()
+    };
+    let frame = scene.frame(&Scene::poses()[0]);
+    let by = |calibration| Multipath::new(&scene.info, calibration).expect("time of flight");
+    let (wrong, right) = (by(&wrong), by(&scene.calibration));
+    let expected = right.predict(&frame).expect("it shows light");
+    let mut prediction = wrong.predict(&frame).expect("it shows light");
+    wrong.recalibrate(&mut prediction, &right);
+    let pairs = prediction.radiances.iter().zip(&expected.radiances);
+    let bright = pairs.filter(|(_, expected)| **expected > 0.02);
+    let mut errors: Vec<f64> = bright
+        .map(|(a, b)| f64::from((a / b - 1.0).abs()))
+        .collect();
+    assert!(errors.len() > 100);
+    // Patches that hold a border of the ball are off by more.
+    assert!(crate::shading::median(&mut errors) < Some(1e-3));
+    let depth = frame.depth.as_ref().expect("given");
+    let WhiteLevel(white) = right.plausible_white(depth, &prediction).expect("seen");
+    assert!((white / expected.plausible_white.0 - 1.0).abs() < 0.01);
+}

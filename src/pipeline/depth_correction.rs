@@ -23,6 +23,8 @@ pub struct DepthCorrection {
     multipath: Option<Multipath>,
     /// The white level that frames are corrected for while the scan goes on; `None` before the first.
     live: Option<WhiteLevel>,
+    /// The white level that revisions begin with, where another calibration was found since.
+    recalibrated: Option<WhiteLevel>,
     /// Whether the device's calibration tells it.
     is_measured: bool,
     /// Predicted multipath of the frames, by time in nanoseconds of the device's clock.
@@ -102,6 +104,7 @@ impl DepthCorrection {
             fusion: fusion.clone(),
             multipath: multipath.flatten(),
             live: measured.map(WhiteLevel),
+            recalibrated: None,
             is_measured: measured.is_some(),
             predictions: BTreeMap::new(),
         }
@@ -122,6 +125,22 @@ impl DepthCorrection {
             depth: Some(depth),
             ir: frame.ir.clone(),
         })
+    }
+
+    /// Goes on with another calibration, by which the scan is to be revised; frames that were corrected stay as they are.
+    pub fn recalibrate(&mut self, calibration: &Calibration, fusion: &Fusion) {
+        let by = Multipath::new(&self.info, calibration);
+        let (Some(before), Some(by)) = (&self.multipath, by) else {
+            return;
+        };
+        for prediction in self.predictions.values_mut() {
+            before.recalibrate(prediction, &by);
+        }
+        if let Some(first) = fusion.keyframes().first().filter(|_| !self.is_measured) {
+            let prediction = self.prediction_near(first.time_secs);
+            self.recalibrated = prediction.and_then(|p| by.plausible_white(&first.depth_m(), p));
+        }
+        self.multipath = Some(by);
     }
 
     /// Forgets the predictions of frames that fusion does not hold any more.
@@ -162,7 +181,8 @@ impl DepthCorrection {
     }
 
     fn settled(&self, fusion: &Fusion, goes_on: &GoesOn) -> Settled {
-        let mut search = self.live.map(WhiteSearch::from);
+        let start = self.recalibrated.or(self.live);
+        let mut search = start.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
         // Without memory for them no frames are kept; and a white level may be known of a sensor whose depth is not freed of multipath.
@@ -176,7 +196,7 @@ impl DepthCorrection {
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
             let mut known = revised.as_ref().map_or_else(
                 || Known {
-                    white: self.live,
+                    white: start,
                     field: None,
                     shutter: None,
                 },

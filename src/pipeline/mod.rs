@@ -40,6 +40,7 @@ mod depth_correction;
 mod output_folder;
 mod pictures;
 mod report;
+mod self_calibration;
 mod threads;
 mod timing;
 
@@ -91,6 +92,7 @@ use rayon::ThreadPoolBuildError;
 use recorder_stage::Telling;
 use refine_stage::RefineSetup;
 use report::Subject;
+use self_calibration::SelfCalibration;
 use std::{io, num::NonZeroUsize, sync::Arc};
 use threads::{pool, spawn};
 
@@ -344,6 +346,7 @@ fn fusion_setup(
             params.multipath.enabled,
             &params.fusion,
         ),
+        self_calibration: self_calibration(params, info),
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
         status: watch.status.clone(),
@@ -352,6 +355,18 @@ fn fusion_setup(
         folder: folder.path().to_owned(),
         shading: None,
         stop: watch.stop.clone(),
+    })
+}
+
+/// What asks the images for the calibration by which depth is corrected; `None` where it does not depend on it.
+fn self_calibration(params: &PipelineParams, info: &CameraInfo) -> Option<SelfCalibration> {
+    let has_multipath = info.sensor == Sensor::Kinect2 && params.multipath.enabled;
+    let refine = params.refine.as_ref().filter(|_| has_multipath)?;
+    Some(SelfCalibration {
+        info: info.clone(),
+        calibration: params.calibration.clone(),
+        crop: params.object.crop,
+        refine: refine.clone(),
     })
 }
 

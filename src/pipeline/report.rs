@@ -64,6 +64,7 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
     });
     let mut warnings = warnings(subject, endings, account);
     warnings.extend(refined.refinement.as_ref().and_then(unjudged));
+    warnings.extend(refined.refinement.as_ref().and_then(contradicted));
     warnings.extend(
         refined.refinement.as_ref().and_then(|refinement| {
             one_for_all(&refinement.albedo_groups, refinement.albedo_spread)
@@ -125,6 +126,14 @@ fn unjudged(refinement: &Refinement) -> Option<String> {
         "too few shading images to hold one out: nothing says whether the refined mesh is better than the base mesh"
             .to_owned()
     })
+}
+
+/// The warning about a calibration that the images contradict.
+fn contradicted(refinement: &Refinement) -> Option<String> {
+    let told = refinement.contradiction.as_ref()?;
+    Some(format!(
+        "{told}; refined.ply is made by what they tell; measure the device with `relief calibrate`"
+    ))
 }
 
 /// The warning about one label (albedos with their shares of the surface) where facets differ more than a material does.

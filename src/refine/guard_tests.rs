@@ -2,9 +2,10 @@
 
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
-use super::scenes::{RippledPlane, calibration, optics, poses, rays};
+use super::scenes::{RippledPlane, calibration, optics, poses, poses_all_round, rays};
 use super::{ImageTrust, RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
 use crate::geometry::TriMesh;
+use crate::shading::Calibration;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Vector3;
 
@@ -129,6 +130,47 @@ fn slow_differences_of_brightness_are_measured_and_bounded() {
     assert_eq!(error, expected);
     let text = error.to_string();
     assert!(text.contains("gamma or light is wrong"), "{text}");
+}
+
+#[test]
+fn a_surface_is_refined_by_what_the_images_say_of_the_response() {
+    let (rays, truth) = (rays(), calibration());
+    let true_optics = optics(&rays, &truth);
+    let base = FLAT.mesh(0.0025);
+    let rendered = poses_all_round();
+    let snapshots: Vec<_> = rendered
+        .iter()
+        .map(|pose| RIPPLED.snapshot(&true_optics, pose))
+        .collect();
+    let wrong = Calibration {
+        gamma: 1.3,
+        ..truth.clone()
+    };
+    let refined = |believed: &Calibration, enabled: bool| {
+        let mut params = RefineParams {
+            edge_length_m: 0.0015,
+            ..RefineParams::default()
+        };
+        params.self_calibration.enabled = enabled;
+        let subject = Subject {
+            scene: &base,
+            object: &base,
+            snapshots: &snapshots,
+            optics: &true_optics.with(believed),
+        };
+        refine(&subject, &params, |_| true)
+    };
+    let held = |refined: &Refinement| refined.judgement.overall.refined.intensity;
+    let right = refined(&truth, true).expect("the light is right");
+    assert_eq!(right.contradiction, None);
+    let found = refined(&wrong, true).expect("the images tell gamma");
+    let told = found.contradiction.as_ref().expect("gamma is wrong");
+    assert!((told.calibration.gamma / truth.gamma - 1.0).abs() < 0.03);
+    assert!(held(&found) < 1.2 * held(&right));
+    if let Ok(bent) = refined(&wrong, false) {
+        assert_eq!(bent.contradiction, None);
+        assert!(held(&bent) > 1.5 * held(&found));
+    }
 }
 
 #[test]

@@ -4,8 +4,8 @@
 //! predicts what every shading image shows. Each outer round re-estimates visibility, the pose and gain of each view, the
 //! albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed normals.
 //!
-//! Light that arrives over other surfaces is predicted beside the lamp's. Not handled: the emitter's own offset, specular highlights beyond
-//! what the robust loss rejects.
+//! Light that arrives over other surfaces is predicted beside the lamp's. A calibration that the images contradict is replaced by what they
+//! say. Not handled: specular highlights beyond what the robust loss rejects.
 
 mod albedo;
 mod alignment;
@@ -38,6 +38,7 @@ mod rounds;
 #[cfg(test)]
 mod scenes;
 mod selected_inverse;
+mod self_calibration;
 mod single_view;
 mod sites;
 mod solver;
@@ -57,7 +58,8 @@ pub use numeric::JacobianMode;
 pub use object::{Plane, Roi, select_object, select_roi};
 pub use optics::Optics;
 pub use params::RefineParams;
-pub use preparation::Subject;
+pub use preparation::{Subject, contradiction_as_tracked};
+pub use self_calibration::{Contradiction, SelfCalibrationParams};
 pub use single_view::surface_of_view;
 pub use solver::{Iteration, RefineStatus, Step};
 pub use view::{HIDING_CELL_M, ImageTrust};
@@ -123,6 +125,8 @@ pub struct Refinement {
     pub judgement: Judgement,
     /// For each view the pixels that could be used: 255, others 0.
     pub masks: Vec<Image<u8>>,
+    /// What the images say against the calibration; then the surface was refined by what they say.
+    pub contradiction: Option<Contradiction>,
 }
 
 /// Refines the surface of an object.
@@ -189,6 +193,7 @@ pub fn refine(
         views,
         judgement,
         masks: state.views.iter().map(View::mask).collect(),
+        contradiction: prepared.contradiction().cloned(),
         mesh: state.surface.mesh,
     })
 }

@@ -28,6 +28,26 @@ impl<'a> Optics<'a> {
         })
     }
 
+    /// The same camera with another calibration, which says where the light is.
+    pub(super) fn with<'b>(&self, calibration: &'b Calibration) -> Optics<'b>
+    where
+        'a: 'b,
+    {
+        let light = &calibration.light;
+        let position = light
+            .position_m
+            .map_or(self.light.position, nalgebra::Point3::from);
+        Optics {
+            rays: self.rays,
+            light: NearLight {
+                position,
+                lobe_power: light.lobe_power,
+            },
+            full_scale: self.full_scale,
+            calibration,
+        }
+    }
+
     /// The patches that light one another in an image.
     pub(super) fn patch_grid(&self) -> PatchGrid {
         PatchGrid::new(

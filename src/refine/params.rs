@@ -3,6 +3,7 @@
 use super::albedo::AlbedoParams;
 use super::alignment::AlignmentParams;
 use super::numeric::JacobianMode;
+use super::self_calibration::SelfCalibrationParams;
 use super::view::ImageTrust;
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +39,8 @@ pub struct RefineParams {
     pub trust: ImageTrust,
     /// Alignment of the views.
     pub alignment: AlignmentParams,
+    /// Response and light by the images, where they contradict the calibration.
+    pub self_calibration: SelfCalibrationParams,
 }
 
 impl Default for RefineParams {
@@ -56,6 +59,7 @@ impl Default for RefineParams {
             albedo: AlbedoParams::default(),
             trust: ImageTrust::default(),
             alignment: AlignmentParams::default(),
+            self_calibration: SelfCalibrationParams::default(),
         }
     }
 }
@@ -108,6 +112,24 @@ impl RefineParams {
                 self.alignment.iterations as f64,
                 0.0,
                 100.0,
+            ),
+            (
+                "self_calibration.gamma_sigma",
+                self.self_calibration.gamma_sigma,
+                1e-6,
+                10.0,
+            ),
+            (
+                "self_calibration.light_sigma_m",
+                self.self_calibration.light_sigma_m,
+                1e-6,
+                1.0,
+            ),
+            (
+                "self_calibration.lobe_sigma",
+                self.self_calibration.lobe_sigma,
+                1e-6,
+                10.0,
             ),
         ] {
             if !(value >= low && value <= high) {

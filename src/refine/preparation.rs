@@ -11,6 +11,7 @@ use super::params::RefineParams;
 use super::patches::{self, Patch};
 use super::remesh::{RemeshParams, remesh};
 use super::rounds::{Rounds, State, centre_of};
+use super::self_calibration::{Contradiction, Tolerance, contradiction};
 use super::sites::{Sites, ViewError, ViewSet};
 use super::solver::Pattern;
 use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
@@ -43,6 +44,7 @@ pub struct Preparation {
     patches: Vec<Patch>,
     neighbours: Vec<[u32; 3]>,
     pattern: Pattern,
+    contradiction: Option<Contradiction>,
 }
 
 impl Preparation {
@@ -52,10 +54,10 @@ impl Preparation {
     /// For too many views, for what is no surface, and if memory does not suffice.
     pub fn new(subject: &Subject, params: &RefineParams) -> Result<Self, RefineError> {
         let Subject {
-            scene,
             object,
             snapshots,
             optics,
+            ..
         } = *subject;
         if snapshots.len() > MAX_VIEWS {
             return Err(RefineError::TooManyViews {
@@ -72,20 +74,16 @@ impl Preparation {
             return Err(RefineError::NoSurface);
         }
         let centre = centre_of(&mesh);
-        let context = ViewContext {
-            scene: &coarsened(scene, HIDING_CELL_M),
-            centre,
-            optics,
-            trust: &params.trust,
-            patches: &optics.patch_grid(),
-        };
-        let mut views: Vec<View> = snapshots
-            .par_iter()
-            .map(|snapshot| View::new(snapshot, &context))
-            .collect();
-        if params.interreflection {
-            let white = optics.white_level().or_else(|| plausible_white(&views));
-            views.iter_mut().for_each(|view| view.white = white);
+        let mut views = views_of(subject, &params, centre);
+        let told = contradiction_of(&mesh, &views, optics, &params, Tolerance::FINISHED);
+        if let Some(Contradiction { calibration, .. }) = &told {
+            // Both sets of views are large.
+            views.clear();
+            let relit = Subject {
+                optics: &optics.with(calibration),
+                ..*subject
+            };
+            views = views_of(&relit, &params, centre);
         }
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
@@ -101,6 +99,7 @@ impl Preparation {
             patches,
             neighbours,
             pattern: pattern.ok_or(RefineError::OutOfMemory)?,
+            contradiction: told,
         })
     }
 
@@ -169,6 +168,11 @@ impl Preparation {
         self.params.edge_length_m
     }
 
+    /// What the images said against the calibration; then the views were made with theirs.
+    pub fn contradiction(&self) -> Option<&Contradiction> {
+        self.contradiction.as_ref()
+    }
+
     fn why_nothing_is_visible(&self, subject: &Subject) -> RefineError {
         let full_scale = subject.optics.full_scale;
         let is_saturated = |(view, snapshot): &(&View, &ShadingSnapshot)| {
@@ -196,6 +200,55 @@ impl Preparation {
             },
         }
     }
+}
+
+/// All shading images made ready.
+fn views_of(subject: &Subject, params: &RefineParams, centre: Point3<f64>) -> Vec<View> {
+    let Subject {
+        scene,
+        snapshots,
+        optics,
+        ..
+    } = *subject;
+    let context = ViewContext {
+        scene: &coarsened(scene, HIDING_CELL_M),
+        centre,
+        optics,
+        trust: &params.trust,
+        patches: &optics.patch_grid(),
+    };
+    let mut views: Vec<View> = snapshots
+        .par_iter()
+        .map(|snapshot| View::new(snapshot, &context))
+        .collect();
+    if params.interreflection {
+        let white = optics.white_level().or_else(|| plausible_white(&views));
+        views.iter_mut().for_each(|view| view.white = white);
+    }
+    views
+}
+
+/// What the views of a surface say against the calibration that they were made with.
+fn contradiction_of(
+    mesh: &TriMesh,
+    views: &[View],
+    optics: &Optics,
+    params: &RefineParams,
+    tolerance: Tolerance,
+) -> Option<Contradiction> {
+    let params = &params.self_calibration;
+    if !params.enabled {
+        return None;
+    }
+    let sites = Sites::new(mesh, views, first_views(views.len()));
+    contradiction(mesh, &sites, views, optics, params, tolerance)
+}
+
+/// What the images of a scan say against its calibration before its depth is corrected for good.
+pub fn contradiction_as_tracked(subject: &Subject, params: &RefineParams) -> Option<Contradiction> {
+    let views = views_of(subject, params, centre_of(subject.object));
+    let tolerance = Tolerance::AS_TRACKED;
+    contradiction_of(subject.object, &views, subject.optics, params, tolerance)
 }
 
 /// The median of what is plausible for each view: a scan has one light.

@@ -184,21 +184,34 @@ pub fn poses(tilt_rad: f64) -> Vec<Pose> {
     .collect()
 }
 
+/// As [`poses`], by three tilts and from as many distances, which tells response and light.
+pub fn poses_all_round() -> Vec<Pose> {
+    let rings = [(0.3, 0.1), (0.6, 0.0), (0.9, -0.1)];
+    let ring = |(tilt_rad, nearer_m): (f64, f64)| {
+        let nearer = nalgebra::Translation3::new(0.0, 0.0, nearer_m);
+        poses(tilt_rad).into_iter().map(move |pose| pose * nearer)
+    };
+    rings.into_iter().flat_map(ring).collect()
+}
+
 /// Views of a rippled plane whose `hidden` surface was rendered, placed against the mesh `base`.
 pub fn views(hidden: &RippledPlane, base: &TriMesh, optics: &Optics, poses: &[Pose]) -> Vec<View> {
+    let rendered = poses.iter().map(|pose| hidden.snapshot(optics, pose));
+    views_of(&rendered.collect::<Vec<_>>(), base, optics)
+}
+
+/// Rendered images as they are believed to have been taken, placed against the mesh `base`.
+pub fn views_of(snapshots: &[ShadingSnapshot], base: &TriMesh, believed: &Optics) -> Vec<View> {
     let trust = ImageTrust::default();
-    let centre = Point3::new(0.0, 0.0, DISTANCE_M);
     let context = ViewContext {
         scene: base,
-        centre,
-        optics,
+        centre: Point3::new(0.0, 0.0, DISTANCE_M),
+        optics: believed,
         trust: &trust,
-        patches: &optics.patch_grid(),
+        patches: &believed.patch_grid(),
     };
-    poses
-        .iter()
-        .map(|pose| View::new(&hidden.snapshot(optics, pose), &context))
-        .collect()
+    let view = |snapshot| View::new(snapshot, &context);
+    snapshots.iter().map(view).collect()
 }
 
 /// A mesh that nothing has displaced yet.

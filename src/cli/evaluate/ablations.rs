@@ -98,13 +98,18 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
     ]);
     for share in GAMMAS {
         let gamma = share * calibration.gamma;
-        variations.push(Variation {
-            calibration: Calibration {
-                gamma,
-                ..calibration.clone()
-            },
-            ..with(&format!("gamma {gamma:.2}"), &|_| {})
-        });
+        let calibration = Calibration {
+            gamma,
+            ..calibration.clone()
+        };
+        let believed = |what: &str, enabled: bool| Variation {
+            calibration: calibration.clone(),
+            ..with(&format!("gamma {gamma:.2}{what}"), &|params| {
+                params.self_calibration.enabled = enabled;
+            })
+        };
+        variations.push(believed(", believed", false));
+        variations.push(believed(", told by the images", true));
     }
     variations
 }

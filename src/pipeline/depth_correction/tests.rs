@@ -12,14 +12,31 @@ const N_FRAMES: usize = 3;
 fn scanned(
     fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
 ) -> (DepthCorrection, Fusion) {
+    scanned_with(&calibration(1.0), fuse)
+}
+
+/// The shipped calibration with another gamma, as a share of the right one.
+fn calibration(gamma_share: f64) -> Calibration {
+    let info = SimulatedCamera::kinect2_plaque(1, 7).info().clone();
+    let shipped = Calibration::shipped_for(&info).expect("shipped");
+    Calibration {
+        gamma: gamma_share * shipped.gamma,
+        ..shipped
+    }
+}
+
+/// The same, corrected by a calibration.
+fn scanned_with(
+    calibration: &Calibration,
+    fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
+) -> (DepthCorrection, Fusion) {
     let mut camera = SimulatedCamera::kinect2_plaque(N_FRAMES, 7);
     let info = camera.info().clone();
-    let calibration = Calibration::shipped_for(&info).expect("shipped");
     let params = FusionParams {
         voxel_size_m: 0.004,
         ..FusionParams::default()
     };
-    let mut correction = DepthCorrection::new(&info, &calibration, true, &params);
+    let mut correction = DepthCorrection::new(&info, calibration, true, &params);
     let noise = DepthNoise::of_sensor(info.sensor);
     let mut fusion = Fusion::new(CameraModel::new(info.intrinsics), noise, params);
     let first = camera.true_world_from_camera(0).inverse();
@@ -84,4 +101,36 @@ fn a_scan_at_given_poses_is_fused_again_and_every_frame_stays_where_it_was_given
     }
     let mut fusion = revised.fusion;
     assert!(fusion.close_loops(&|_| true).is_none());
+}
+
+#[test]
+fn a_scan_is_revised_by_the_calibration_that_was_found_since() {
+    /// Mean difference of the revised depth from that of another scan, metres.
+    fn apart(one: &Revised, other: &Revised) -> f64 {
+        let frames = one.fusion.keyframes().iter();
+        let pairs = frames.zip(other.fusion.keyframes());
+        let (mut sum, mut n) = (0.0, 0.0);
+        for (one, other) in pairs {
+            let (one, other) = (one.depth_m(), other.depth_m());
+            for (a, b) in one.data().iter().zip(other.data()) {
+                if *a > 0.0 && *b > 0.0 {
+                    sum += f64::from((a - b).abs());
+                    n += 1.0;
+                }
+            }
+        }
+        sum / n
+    }
+    let revised = |correction: &DepthCorrection, fusion: &Fusion| {
+        let revised = correction.revise(fusion, &|_| true);
+        revised.expect("light comes over the table")
+    };
+    let (correction, fusion) = scanned(Fusion::fuse_at);
+    let right = revised(&correction, &fusion);
+    let (mut correction, fusion) = scanned_with(&calibration(1.6), Fusion::fuse_at);
+    let wrong = revised(&correction, &fusion);
+    correction.recalibrate(&calibration(1.0), &fusion);
+    let recalibrated = revised(&correction, &fusion);
+    let (before, after) = (apart(&wrong, &right), apart(&recalibrated, &right));
+    assert!(after < 0.2 * before, "{before} m, {after} m");
 }

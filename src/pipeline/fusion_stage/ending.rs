@@ -5,6 +5,7 @@ use super::{FusedScan, FusionStage, FusionSummary};
 use crate::{
     capture::Tracked,
     fusion::{GoesOn, LoopClosure, PoseCorrection},
+    geometry::Pose,
     pipeline::{state::State, status::Phase, timing::StageClock},
     snapshot::{SnapshotSelection, SnapshotSelector},
 };
@@ -34,6 +35,7 @@ impl FusionStage {
                 told.update(|status| status.improvement = Some(improvement));
                 !stop.is_stopped()
             };
+            self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
             let closure = closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
@@ -99,6 +101,24 @@ impl FusionStage {
                 snapshot.world_from_camera = pose;
             }
         }
+    }
+
+    /// Lets depth be corrected by what the images say of response and light, where that is not what the calibration says.
+    fn recalibrate(&mut self, snapshots: Option<&SnapshotSelection>) {
+        let (Some(asked), Some(selection)) = (&self.self_calibration, snapshots) else {
+            return;
+        };
+        let poses: Vec<Pose> = self.trajectory.iter().map(|(_, pose)| *pose).collect();
+        let (fusion, correction) = (&self.fusion, &mut self.correction);
+        self.revision_clock.time(|| {
+            self.pool.install(|| {
+                let base = fusion.mesh();
+                let found = asked.contradiction(&base, &poses, &selection.accepted);
+                if let Some(calibration) = found {
+                    correction.recalibrate(&calibration, fusion);
+                }
+            });
+        });
     }
 
     /// Fuses the scan again if it tells of errors of its depth that were not taken off.

@@ -39,6 +39,7 @@ fn setup(stop: &StopToken, status: &StatusSlot, surfaces: Sender<SurfaceUpdate>)
         fusion,
         infrared: None,
         snapshot: SnapshotParams::default(),
+        self_calibration: None,
         poses: None,
         pool: pool("track", NonZeroUsize::MIN).unwrap(),
         status: status.clone(),

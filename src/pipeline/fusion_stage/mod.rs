@@ -19,6 +19,7 @@ use super::{
     given_poses::GivenPoses,
     live::{Live, surface::SurfaceUpdate},
     losses::Losses,
+    self_calibration::SelfCalibration,
     state::State,
     status::{StatusSlot, StopToken},
     stop_depth::ShadingRequest,
@@ -56,6 +57,8 @@ pub struct FusionSetup {
     pub snapshot: SnapshotParams,
     /// What is taken off the depth.
     pub correction: DepthCorrection,
+    /// What asks the images for the calibration by which depth is corrected; `None` where it does not depend on it.
+    pub self_calibration: Option<SelfCalibration>,
     /// Poses to fuse at, or to polish, instead of tracking.
     pub poses: Option<GivenPoses>,
     /// Where tracking computes.
@@ -163,6 +166,7 @@ pub fn send(scan: FusedScan, scans: &Sender<Arc<FusedScan>>) -> FusionSummary {
 struct FusionStage {
     fusion: Fusion,
     correction: DepthCorrection,
+    self_calibration: Option<SelfCalibration>,
     selector: Option<SnapshotSelector>,
     conditions: Conditions,
     /// What the frames say of the state, and what the operator was told last.
@@ -226,6 +230,7 @@ impl FusionStage {
             n_device_gaps: 0,
             range,
             correction: setup.correction,
+            self_calibration: setup.self_calibration,
             poses: setup.poses,
             pool: setup.pool,
             status: setup.status,

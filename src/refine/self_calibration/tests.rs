@@ -1,0 +1,119 @@
+use super::*;
+use crate::refine::scenes::{RippledPlane, calibration, optics, poses_all_round, rays, views_of};
+use depth_camera::{Light, LightKind};
+
+const RIPPLED: RippledPlane = RippledPlane {
+    amplitude_m: 0.0004,
+};
+const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
+
+/// What images of a rippled surface, taken with the shipped calibration, say against another one on a flat base.
+fn told(
+    params: &SelfCalibrationParams,
+    believe: impl Fn(&mut Calibration),
+) -> Option<Contradiction> {
+    let (rays, truth) = (rays(), calibration());
+    let true_optics = optics(&rays, &truth);
+    let rendered = poses_all_round();
+    let rendered = rendered
+        .iter()
+        .map(|pose| RIPPLED.snapshot(&true_optics, pose));
+    let mut believed = truth.clone();
+    believe(&mut believed);
+    let believed_optics = true_optics.with(&believed);
+    let base = FLAT.mesh(0.0015);
+    let views = views_of(&rendered.collect::<Vec<_>>(), &base, &believed_optics);
+    contradiction(
+        &base,
+        &Sites::new(&base, &views, u64::MAX),
+        &views,
+        &believed_optics,
+        params,
+        Tolerance::FINISHED,
+    )
+}
+
+#[test]
+fn a_wrong_gamma_is_found_on_a_surface_that_lacks_the_detail() {
+    let truth = calibration().gamma;
+    for believed in [0.65, 1.1, 1.4] {
+        let params = SelfCalibrationParams::default();
+        let told = told(&params, |calibration| calibration.gamma = believed).expect("contradicted");
+        let found = told.calibration.gamma;
+        assert!((found / truth - 1.0).abs() < 0.03, "{believed}: {found}");
+        assert_eq!(told.believed_gamma, believed);
+        let text = told.to_string();
+        assert!(
+            text.contains(&format!("a gamma of {found:.2}, not {believed:.2}")),
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn a_light_elsewhere_is_found() {
+    let stated = [0.05, 0.04, 0.004];
+    let by_eye = SelfCalibrationParams {
+        light_sigma_m: 0.03,
+        ..SelfCalibrationParams::default()
+    };
+    let told = told(&by_eye, |calibration| {
+        calibration.light.position_m = Some(stated)
+    });
+    let told = told.expect("contradicted");
+    let [x, y, z] = told.calibration.light.position_m.expect("found");
+    let off = [x - 0.05, y, z - 0.004].map(|d: f64| 1e3 * d);
+    assert!(off.iter().all(|mm| mm.abs() < 15.0), "{off:?} mm");
+    let moved_m = ((x - stated[0]).powi(2) + (y - stated[1]).powi(2)).sqrt();
+    assert!((told.light_moved_m - moved_m).abs() < 1e-12);
+}
+
+#[test]
+fn the_right_calibration_is_left_alone() {
+    assert_eq!(told(&SelfCalibrationParams::default(), |_| ()), None);
+}
+
+#[test]
+fn derivatives_match_differences() {
+    let light = Light {
+        position_m: [0.05, 0.01, 0.0],
+        kind: LightKind::Emitter,
+    };
+    let unknowns = Unknowns {
+        inv_gamma: 1.2,
+        light: calibration().light.near_light(&light),
+        log_indirect: 0.2,
+        log_gains: vec![0.1],
+    };
+    let normal = Vector3::new(0.3, -0.2, -0.9);
+    let reading = Reading {
+        view: 0,
+        log_observed: -1.3,
+        log_flat: -0.1,
+        point: Point3::new(0.1, -0.05, 0.7),
+        normal,
+        tilts: [Vector3::x(), Vector3::y()],
+        indirect: Vector3::new(0.1, 0.2, -0.3),
+        sigma: 0.02,
+    };
+    let own = Vector3::new(-2.0, 0.01, 0.02);
+    let row = unknowns.row(&reading, &own).expect("lit");
+    let residual = |unknowns: &Unknowns, own: &Vector3<f64>| {
+        unknowns.row(&reading, own).expect("lit").residual
+    };
+    const STEP: f64 = 1e-6;
+    for k in 0..=N_SHARED {
+        let mut step = DVector::zeros(N_SHARED + 1);
+        step[k] = STEP;
+        let difference =
+            residual(&unknowns.moved(&step), &own) - residual(&unknowns.moved(&-step), &own);
+        let expected = if k < N_SHARED { row.by_shared[k] } else { -1.0 };
+        assert!((difference / (2.0 * STEP) - expected).abs() < 1e-6, "{k}");
+    }
+    for k in 0..3 {
+        let step = Vector3::ith(k, STEP);
+        let difference = residual(&unknowns, &(own + step)) - residual(&unknowns, &(own - step));
+        let derivative = difference / (2.0 * STEP);
+        assert!((derivative - row.by_own[k]).abs() < 1e-6, "{k}");
+    }
+}
