@@ -40,6 +40,7 @@ pub struct Preparation {
     mesh: TriMesh,
     centre: Point3<f64>,
     views: Vec<View>,
+    sites: Sites,
     edges: EdgeAdjacency,
     patches: Vec<Patch>,
     neighbours: Vec<[u32; 3]>,
@@ -75,7 +76,8 @@ impl Preparation {
         }
         let centre = centre_of(&mesh);
         let mut views = views_of(subject, &params, centre);
-        let told = contradiction_of(&mesh, &views, optics, &params, Tolerance::FINISHED);
+        let mut sites = Sites::new(&mesh, &views, first_views(views.len()));
+        let told = ask(&mesh, &sites, &views, optics, &params, Tolerance::FINISHED);
         if let Some(Contradiction { calibration, .. }) = &told {
             // Both sets of views are large.
             views.clear();
@@ -84,6 +86,7 @@ impl Preparation {
                 ..*subject
             };
             views = views_of(&relit, &params, centre);
+            sites = Sites::new(&mesh, &views, first_views(views.len()));
         }
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
@@ -95,6 +98,7 @@ impl Preparation {
             mesh,
             centre,
             views,
+            sites,
             edges,
             patches,
             neighbours,
@@ -107,6 +111,7 @@ impl Preparation {
     pub fn rounds(&self) -> Rounds<'_> {
         Rounds {
             params: &self.params,
+            base_sites: &self.sites,
             edges: &self.edges,
             patches: &self.patches,
             neighbours: &self.neighbours,
@@ -123,8 +128,7 @@ impl Preparation {
         subject: &Subject,
         learning: ViewSet,
     ) -> Result<(State, Vec<ViewError>), RefineError> {
-        let (mesh, views) = (&self.mesh, &self.views);
-        let sites = Sites::new(mesh, views, first_views(views.len()));
+        let (mesh, views, sites) = (&self.mesh, &self.views, &self.sites);
         let learnt = sites.only(learning);
         let albedo = self.rounds().first_albedo(mesh, &learnt, views);
         let albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
@@ -229,26 +233,34 @@ fn views_of(subject: &Subject, params: &RefineParams, centre: Point3<f64>) -> Ve
 }
 
 /// What the views of a surface say against the calibration that they were made with.
-fn contradiction_of(
+fn ask(
     mesh: &TriMesh,
+    sites: &Sites,
     views: &[View],
     optics: &Optics,
     params: &RefineParams,
     tolerance: Tolerance,
 ) -> Option<Contradiction> {
     let params = &params.self_calibration;
-    if !params.enabled {
-        return None;
-    }
-    let sites = Sites::new(mesh, views, first_views(views.len()));
-    contradiction(mesh, &sites, views, optics, params, tolerance)
+    let is_asked = params.enabled;
+    is_asked
+        .then(|| contradiction(mesh, sites, views, optics, params, tolerance))
+        .flatten()
 }
 
 /// What the images of a scan say against its calibration before its depth is corrected for good.
 pub fn contradiction_as_tracked(subject: &Subject, params: &RefineParams) -> Option<Contradiction> {
-    let views = views_of(subject, params, centre_of(subject.object));
-    let tolerance = Tolerance::AS_TRACKED;
-    contradiction_of(subject.object, &views, subject.optics, params, tolerance)
+    let (object, optics) = (subject.object, subject.optics);
+    let views = views_of(subject, params, centre_of(object));
+    let sites = Sites::new(object, &views, first_views(views.len()));
+    ask(
+        object,
+        &sites,
+        &views,
+        optics,
+        params,
+        Tolerance::AS_TRACKED,
+    )
 }
 
 /// The median of what is plausible for each view: a scan has one light.

@@ -19,6 +19,8 @@ use std::ops::Range;
 pub struct Rounds<'a> {
     /// Parameters.
     pub params: &'a RefineParams,
+    /// Sites of the base surface, on which the first round begins, and all views that see them.
+    pub base_sites: &'a Sites,
     /// Edges of the mesh.
     pub edges: &'a EdgeAdjacency,
     /// Patches that depth holds.
@@ -108,7 +110,10 @@ impl Rounds<'_> {
             albedo,
         } = state;
         surface.directions = surface.mesh.vertex_normals();
-        let sites = Sites::new(&surface.mesh, views, learning);
+        let sites = match round {
+            0 => self.base_sites.only(learning),
+            _ => Sites::new(&surface.mesh, views, learning),
+        };
         let cutoff = CUTOFFS[round.min(CUTOFFS.len() - 1)];
         let mesh = &surface.mesh;
         let loss_of = |observations: &Observations, albedo: &Albedo| Tukey {
