@@ -88,6 +88,8 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         }),
         with("light of the lamp alone", &|params| {
             params.interreflection = false;
+            // Otherwise the images tell another lamp in its place.
+            params.self_calibration.enabled = false;
         }),
         with("one albedo", &|params| params.max_albedos = 1),
         with("albedo groups by the paper's rule", &|params| {
