@@ -110,8 +110,10 @@ pub struct PipelineParams {
     pub snapshot: SnapshotParams,
     /// Which part of the scan becomes meshes.
     pub object: ObjectParams,
-    /// Refinement; `None` to fuse only.
-    pub refine: Option<RefineParams>,
+    /// Refinement; and how far the images are asked for the calibration by which depth is corrected.
+    pub refine: RefineParams,
+    /// Whether this run refines, or fuses only.
+    pub is_refined: bool,
     /// Response, flat field and noise of the camera's IR.
     pub calibration: Calibration,
     /// Where the calibration comes from, for the report.
@@ -361,12 +363,11 @@ fn fusion_setup(
 /// What asks the images for the calibration by which depth is corrected; `None` where it does not depend on it.
 fn self_calibration(params: &PipelineParams, info: &CameraInfo) -> Option<SelfCalibration> {
     let has_multipath = info.sensor == Sensor::Kinect2 && params.multipath.enabled;
-    let refine = params.refine.as_ref().filter(|_| has_multipath)?;
-    Some(SelfCalibration {
+    (has_multipath && params.refine.self_calibration.enabled).then(|| SelfCalibration {
         info: info.clone(),
         calibration: params.calibration.clone(),
         crop: params.object.crop,
-        refine: refine.clone(),
+        refine: params.refine.clone(),
     })
 }
 
@@ -399,7 +400,7 @@ fn refine_setup(
     Ok(RefineSetup {
         info: info.clone(),
         object: params.object.clone(),
-        refine: params.refine.clone(),
+        refine: params.is_refined.then(|| params.refine.clone()),
         calibration: params.calibration.clone(),
         roi: params.roi,
         pool: pool("refine", params.n_threads)?,

@@ -35,12 +35,13 @@ pub fn params(n_threads: usize, calibration: Calibration) -> PipelineParams {
         },
         snapshot: SnapshotParams::default(),
         object: ObjectParams::default(),
-        refine: Some(RefineParams {
+        refine: RefineParams {
             edge_length_m: 0.003,
             n_rounds: 2,
             max_steps: 2,
             ..RefineParams::default()
-        }),
+        },
+        is_refined: true,
         calibration,
         calibration_source: "shipped".to_owned(),
         roi: None,
@@ -57,11 +58,14 @@ fn shipped() -> Calibration {
 }
 
 fn run(session: &Path, out: &Path, n_threads: usize, calibration: Calibration) -> Outcome {
+    run_with(session, out, params(n_threads, calibration))
+}
+
+fn run_with(session: &Path, out: &Path, params: PipelineParams) -> Outcome {
     let camera = open_session(session, Pacing::AsFastAsPossible)
         .unwrap()
         .camera;
     let folder = OutputFolder::claim(out).unwrap();
-    let params = params(n_threads, calibration);
     let outcome = Pipeline::spawn(camera, params, folder).unwrap().join();
     assert_eq!(outcome.failures, Vec::<String>::new());
     assert_eq!(outcome.ending, Ending::Complete);
@@ -123,6 +127,33 @@ fn a_recording_becomes_meshes_and_a_report_the_same_on_any_number_of_threads() {
         let same = fs::read(one.join(name)).unwrap() == fs::read(two.join(name)).unwrap();
         assert!(same, "{name} depends on the number of threads");
     }
+}
+
+#[test]
+fn depth_is_corrected_by_what_the_images_say_of_the_response_whether_the_scan_is_refined_or_not() {
+    let root = tempfile::tempdir().unwrap();
+    let session = root.path().join("plaque");
+    record(small_camera(N_FRAMES, 1), &session);
+    let wrong = Calibration {
+        gamma: 1.5 * shipped().gamma,
+        ..shipped()
+    };
+    let base = |name: &str, is_asked: bool, is_refined: bool| {
+        let mut params = PipelineParams {
+            multipath: MultipathParams { enabled: true },
+            is_refined,
+            ..params(2, wrong.clone())
+        };
+        params.refine.self_calibration.enabled = is_asked;
+        let out = root.path().join(name);
+        let outcome = run_with(&session, &out, params);
+        (fs::read(out.join("base.ply")).unwrap(), outcome)
+    };
+    let (refined, outcome) = base("refined", true, true);
+    let told = &outcome.report.warnings;
+    assert!(told.iter().any(|told| told.contains("gamma")), "{told:?}");
+    assert!(base("fused", true, false).0 == refined);
+    assert!(base("believed", false, false).0 != refined);
 }
 
 /// The recording again, with the IR image's content moved right and down.

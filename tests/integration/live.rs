@@ -11,7 +11,7 @@ use relief::{
         Command, CommandRefused, Degradation, Ending, EventKind, Fault, Handle, OutputFolder,
         Pipeline, PipelineParams, RecordedScan, State, Status, Watch, WhenFull,
     },
-    refine::ObjectParams,
+    refine::{ObjectParams, RefineParams},
     shading::Calibration,
     snapshot::SnapshotParams,
 };
@@ -138,7 +138,8 @@ fn params(grab_timeout_secs: f64) -> PipelineParams {
         },
         snapshot: SnapshotParams::default(),
         object: ObjectParams::default(),
-        refine: None,
+        refine: RefineParams::default(),
+        is_refined: false,
         calibration: Calibration::shipped(depth_camera::Sensor::Kinect2).unwrap(),
         calibration_source: "shipped".to_owned(),
         roi: None,

@@ -169,7 +169,7 @@ fn a_scan_goes_on_in_the_same_map_after_each_of_three_unpluggings() {
     let camera = open(SERIAL, &device_params()).unwrap();
     let folder = OutputFolder::claim(&root.join("out")).unwrap();
     let params = PipelineParams {
-        refine: None,
+        is_refined: false,
         ..scan_params()
     };
     let handle = Pipeline::spawn(camera, params, folder).unwrap();

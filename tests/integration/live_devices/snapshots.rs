@@ -53,7 +53,7 @@ impl Scan {
     /// Fused only, its infrared of the smaller size.
     fn begin(root: PathBuf, shading: ShadingStrategy) -> Self {
         let fused_only = PipelineParams {
-            refine: None,
+            is_refined: false,
             ..scan_params()
         };
         Scan::with(root, shading, fused_only, &device_params())
