@@ -48,8 +48,9 @@ impl Default for SelfCalibrationParams {
     }
 }
 
-/// Side of a patch, metres: many facets, and yet nearly one distance to the light.
+/// Side of a patch, metres: many facets, and yet nearly one distance to the light. Where facets are large so are patches, for as many.
 const PATCH_M: f64 = 0.01;
+const FACETS: f64 = 60.0;
 /// Facets that a view must see of a patch.
 const MIN_FACETS: usize = 20;
 /// Views that must see a patch: it has three unknowns of its own.
@@ -209,10 +210,12 @@ struct LitPatch {
 impl LitPatch {
     /// Cuts what the views see of a surface into patches.
     fn all(mesh: &TriMesh, sites: &Sites, views: &[View], optics: &Optics) -> Vec<LitPatch> {
+        let facet_m2 = mesh.area_m2() / mesh.faces.len().max(1) as f64;
+        let side_m = (FACETS * facet_m2).sqrt().max(PATCH_M);
         let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
         for (face, point) in sites.points.iter().enumerate() {
             if sites.visible[face] != 0 {
-                let cell = [point.x, point.y, point.z].map(|x| (x / PATCH_M).floor() as i32);
+                let cell = [point.x, point.y, point.z].map(|x| (x / side_m).floor() as i32);
                 cells.entry(cell).or_default().push(face as u32);
             }
         }
