@@ -1,5 +1,6 @@
 use super::*;
 use crate::refine::scenes::{RippledPlane, calibration, optics, poses_all_round, rays, views_of};
+use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Light, LightKind};
 
 const RIPPLED: RippledPlane = RippledPlane {
@@ -12,12 +13,23 @@ fn told(
     params: &SelfCalibrationParams,
     believe: impl Fn(&mut Calibration),
 ) -> Option<Contradiction> {
+    told_by(params, believe, |_, _| ())
+}
+
+/// The same, of images of which each was spoilt.
+fn told_by(
+    params: &SelfCalibrationParams,
+    believe: impl Fn(&mut Calibration),
+    spoil: impl Fn(usize, &mut ShadingSnapshot),
+) -> Option<Contradiction> {
     let (rays, truth) = (rays(), calibration());
     let true_optics = optics(&rays, &truth);
-    let rendered = poses_all_round();
-    let rendered = rendered
-        .iter()
-        .map(|pose| RIPPLED.snapshot(&true_optics, pose));
+    let poses = poses_all_round();
+    let rendered = poses.iter().enumerate().map(|(k, pose)| {
+        let mut snapshot = RIPPLED.snapshot(&true_optics, pose);
+        spoil(k, &mut snapshot);
+        snapshot
+    });
     let mut believed = truth.clone();
     believe(&mut believed);
     let believed_optics = true_optics.with(&believed);
@@ -71,6 +83,24 @@ fn a_light_elsewhere_is_found() {
 #[test]
 fn the_right_calibration_is_left_alone() {
     assert_eq!(told(&SelfCalibrationParams::default(), |_| ()), None);
+}
+
+#[test]
+fn images_that_no_calibration_explains_tell_nothing() {
+    let params = SelfCalibrationParams::default();
+    let wrong = |calibration: &mut Calibration| calibration.gamma = 1.4;
+    assert!(told(&params, wrong).is_some());
+    // As if another lamp were on in each, far brighter on one side of the image than on the other.
+    let told = told_by(&params, wrong, |k, snapshot| {
+        let width = snapshot.ir_counts.width();
+        let turn = 2.0 * k as f32;
+        for (pixel, counts) in snapshot.ir_counts.data_mut().iter_mut().enumerate() {
+            let (u, v) = ((pixel % width) as f32, (pixel / width) as f32);
+            let along = (u / 100.0 - 1.0) * turn.cos() + (v / 80.0 - 1.0) * turn.sin();
+            *counts *= (0.7 * along).exp();
+        }
+    });
+    assert_eq!(told, None);
 }
 
 #[test]

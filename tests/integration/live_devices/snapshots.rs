@@ -168,13 +168,8 @@ fn assert_lamp(root: &Path, image: &Path) {
     assert_eq!(meta["serial"], SERIAL);
 }
 
-#[test]
-fn stopping_depth_gives_an_image_for_each_request() {
-    let test = "live_devices::snapshots::stopping_depth_gives_an_image_for_each_request";
-    let Some(root) = inside() else {
-        return still_before_the_plaque(true).run_inside(test);
-    };
-    let scan = Scan::begin(root.clone(), ShadingStrategy::StopDepth);
+/// Asks a scan for an image twice, between frames that are fused; both must be the lamp's.
+fn take_two(scan: Scan, root: &Path) {
     scan.fuse(3);
     for n_images in 1..=2 {
         scan.ask().unwrap();
@@ -187,8 +182,18 @@ fn stopping_depth_gives_an_image_for_each_request() {
     let (n_images, folder) = scan.finish();
     assert_eq!(n_images, 2);
     for image in ["000", "001"] {
-        assert_lamp(&root, &folder.join(image));
+        assert_lamp(root, &folder.join(image));
     }
+}
+
+#[test]
+fn stopping_depth_gives_an_image_for_each_request() {
+    let test = "live_devices::snapshots::stopping_depth_gives_an_image_for_each_request";
+    let Some(root) = inside() else {
+        return still_before_the_plaque(true).run_inside(test);
+    };
+    let scan = Scan::begin(root.clone(), ShadingStrategy::StopDepth);
+    take_two(scan, &root);
     let written = written(&root);
     // Depth: started, stopped and started for each image, stopped in the end, and before each start by the library itself; IR goes
     // on all the time.
@@ -249,20 +254,7 @@ fn exposures_of_full_size_become_images_of_the_depth_grid() {
         scan_params(),
         &device,
     );
-    scan.fuse(3);
-    for n_images in 1..=2 {
-        scan.ask().unwrap();
-        scan.until("it is taken", |status| {
-            status.snapshots.accepted == n_images && !status.is_snapshotting
-        });
-        scan.fuse(3);
-    }
-    assert_eq!(scan.refusals(), Vec::<String>::new());
-    let (n_images, folder) = scan.finish();
-    assert_eq!(n_images, 2);
-    for image in ["000", "001"] {
-        assert_lamp(&root, &folder.join(image));
-    }
+    take_two(scan, &root);
     let report = fs::read_to_string(root.join("out/report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_str(&report).unwrap();
     let refined = &report["refined_mesh"];
