@@ -197,6 +197,7 @@ impl Gatherer {
             device_time_secs: frame.device_time_secs,
             n_exposures: 1,
             ir_counts: ir.map(|counts| f32::from(*counts)),
+            unlit_counts: None,
             depth_m: frame.depth.clone().expect("a tracked frame has depth"),
             world_from_camera,
         });

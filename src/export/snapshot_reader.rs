@@ -2,7 +2,7 @@
 
 use super::{
     ExportError, read_trajectory,
-    snapshots::{DEPTH_UNITS_PER_METRE, FILES, folder_name},
+    snapshots::{DEPTH_UNITS_PER_METRE, FILES, UNLIT, folder_name},
 };
 use crate::geometry::Pose;
 use depth_camera::Image;
@@ -13,6 +13,8 @@ use std::{fs, path::Path};
 pub struct StoredSnapshot {
     /// Raw IR counts.
     pub ir: Image<u16>,
+    /// The same without the light, where that was taken.
+    pub unlit: Option<Image<u16>>,
     /// Depth from the same pose, metres; 0 is none, everywhere in folders of versions that did not write it.
     pub depth_m: Image<f32>,
     /// Pose of the IR camera.
@@ -46,9 +48,21 @@ fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
         true => read_png(&depth)?.map(|&units| f32::from(units) / DEPTH_UNITS_PER_METRE),
         false => Image::filled(ir.width(), ir.height(), 0.0),
     };
-    if (depth_m.width(), depth_m.height()) != (ir.width(), ir.height()) {
+    let same_size = |path: &Path, (width, height): (usize, usize)| {
         let reason = format!("it is not of the image's {}×{}", ir.width(), ir.height());
-        return Err(ExportError::malformed(&depth, reason));
+        match (width, height) == (ir.width(), ir.height()) {
+            true => Ok(()),
+            false => Err(ExportError::malformed(path, reason)),
+        }
+    };
+    same_size(&depth, (depth_m.width(), depth_m.height()))?;
+    let unlit_path = folder.join(UNLIT);
+    let unlit = match unlit_path.is_file() {
+        true => Some(read_png(&unlit_path)?),
+        false => None,
+    };
+    if let Some(unlit) = &unlit {
+        same_size(&unlit_path, (unlit.width(), unlit.height()))?;
     }
     let (device_time_secs, world_from_camera) = read_trajectory(&pose)?
         .first()
@@ -58,6 +72,7 @@ fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
     let json = serde_json::from_str(&text);
     Ok(StoredSnapshot {
         ir,
+        unlit,
         depth_m,
         world_from_camera,
         device_time_secs,
@@ -82,8 +97,10 @@ mod tests {
         let ir = Image::from_vec(4, 3, (0..12u16).map(|k| k * 5000).collect());
         let mask = Image::filled(4, 3, 255u8);
         let depth_m = Image::from_vec(4, 3, (0..12).map(|k| k as f32 * 0.1).collect());
+        let unlit = ir.map(|counts| counts / 10);
         let record = SnapshotRecord {
             ir: &ir,
+            unlit: Some(&unlit),
             mask: &mask,
             depth_m: &depth_m,
             world_from_camera: Pose::translation(0.1, 0.2, 0.5),
@@ -94,6 +111,7 @@ mod tests {
         let back = read_snapshots(folder.path()).unwrap();
         assert_eq!(back.len(), 2);
         assert_eq!(back[1].ir, ir);
+        assert_eq!(back[1].unlit.as_ref(), Some(&unlit));
         let pairs = back[1].depth_m.data().iter().zip(depth_m.data());
         // Half of a step of 1/5000 m.
         assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1.01e-4));

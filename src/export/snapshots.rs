@@ -19,6 +19,8 @@ use std::{
 pub struct SnapshotRecord<'a> {
     /// Raw IR counts.
     pub ir: &'a Image<u16>,
+    /// The same without the light, of the same size, where that was taken.
+    pub unlit: Option<&'a Image<u16>>,
     /// Which pixels count, of the same size as `ir`: 0 is masked out.
     pub mask: &'a Image<u8>,
     /// Depth from the same pose, of the same size, metres; 0 is none.
@@ -33,10 +35,13 @@ pub struct SnapshotRecord<'a> {
 
 /// The files of a snapshot, `meta.json` being the last: where it stands the snapshot is whole.
 pub(super) const FILES: [&str; 5] = ["ir.png", "mask.png", "depth.png", "pose.txt", "meta.json"];
+/// Beside them where ambient light was measured.
+pub(super) const UNLIT: &str = "unlit.png";
 /// Depth is stored in steps of 1 / this many metres, as in the TUM RGB-D benchmark.
 pub(super) const DEPTH_UNITS_PER_METRE: f32 = 5000.0;
 
-/// Writes snapshot k of `records` to `dir/snapshots/` in folder `000`, `001`, …: `ir.png` (16 bit, raw counts), `mask.png`
+/// Writes snapshot k of `records` to `dir/snapshots/` in folder `000`, `001`, …: `ir.png` (16 bit, raw counts), `unlit.png` where
+/// that is known (the same without the light), `mask.png`
 /// (8 bit), `depth.png` (16 bit, 5000 a metre), `pose.txt` (one TUM line, world from camera) and, last of all, `meta.json`.
 ///
 /// Snapshots of an earlier export are replaced; those beyond the last record are removed, but only these files.
@@ -78,6 +83,13 @@ fn check(record: &SnapshotRecord) -> Result<(), String> {
     if ir != depth {
         return Err(format!("the depth is {depth}, the image {ir}"));
     }
+    let unlit = record.unlit.unwrap_or(record.ir);
+    let unlit = size(unlit.width(), unlit.height());
+    if ir != unlit {
+        return Err(format!(
+            "the image without light is {unlit}, the image {ir}"
+        ));
+    }
     check_pose(record.device_time_secs, &record.world_from_camera)
 }
 
@@ -87,6 +99,13 @@ fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportEr
     // While the files are of two exports, nothing may say that they belong together.
     remove_file(&meta).map_err(|cause| ExportError::write(&meta, cause))?;
     write_atomically(&ir, |file| file.write_all(&encode_png_grey16(record.ir)?))?;
+    let unlit = folder.join(UNLIT);
+    match record.unlit {
+        Some(counts) => {
+            write_atomically(&unlit, |file| file.write_all(&encode_png_grey16(counts)?))?;
+        }
+        None => remove_file(&unlit).map_err(|cause| ExportError::write(&unlit, cause))?,
+    }
     write_atomically(&mask, |file| {
         file.write_all(&encode_png_grey8(record.mask)?)
     })?;
@@ -100,7 +119,7 @@ fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportEr
 }
 
 fn remove_snapshot(folder: &Path) -> io::Result<()> {
-    for name in FILES.iter().rev() {
+    for name in FILES.iter().rev().chain(&[UNLIT]) {
         remove_file(&folder.join(name))?;
     }
     match fs::remove_dir(folder) {
@@ -132,6 +151,7 @@ mod tests {
         let depth_m = Image::filled(4, 3, 0.7f32);
         let record = |k: usize| SnapshotRecord {
             ir: &ir,
+            unlit: (k == 1).then_some(&ir),
             mask: &mask,
             depth_m: &depth_m,
             world_from_camera: Pose::translation(0.1 * k as f64, 0.0, 0.5),
@@ -147,6 +167,7 @@ mod tests {
             assert!(root.join("000").join(name).is_file());
             assert!(!root.join("001").join(name).exists());
         }
+        assert!(!root.join("001").join(UNLIT).exists());
         assert!(root.join("001/note.txt").is_file() && !root.join("002").exists());
         let meta: serde_json::Value =
             serde_json::from_slice(&fs::read(root.join("000/meta.json")).unwrap()).unwrap();
@@ -162,6 +183,7 @@ mod tests {
         let depth_m = Image::filled(4, 3, 0.7f32);
         let record = SnapshotRecord {
             ir: &ir,
+            unlit: None,
             mask: &mask,
             depth_m: &depth_m,
             world_from_camera: Pose::identity(),

@@ -118,19 +118,21 @@ impl Outbox {
         masks: Option<&[Image<u8>]>,
         info: &CameraInfo,
     ) {
-        let images: Vec<(Image<u16>, Image<u8>)> = snapshots
+        let images: Vec<(Image<u16>, Option<Image<u16>>, Image<u8>)> = snapshots
             .iter()
             .enumerate()
             .map(|(k, snapshot)| {
                 let mask = masks.map_or_else(|| depth_mask(snapshot), |masks| masks[k].clone());
-                (counts(snapshot), mask)
+                let unlit = snapshot.unlit_counts.as_ref().map(counts);
+                (counts(&snapshot.ir_counts), unlit, mask)
             })
             .collect();
         let records: Vec<SnapshotRecord> = snapshots
             .iter()
             .zip(&images)
-            .map(|(snapshot, (ir, mask))| SnapshotRecord {
+            .map(|(snapshot, (ir, unlit, mask))| SnapshotRecord {
                 ir,
+                unlit: unlit.as_ref(),
                 mask,
                 depth_m: &snapshot.depth_m,
                 world_from_camera: snapshot.world_from_camera,
@@ -197,8 +199,8 @@ impl Outbox {
 }
 
 /// The image as it is written.
-fn counts(snapshot: &ShadingSnapshot) -> Image<u16> {
-    snapshot.ir_counts.map(|&counts| counts.round() as u16)
+fn counts(image: &Image<f32>) -> Image<u16> {
+    image.map(|&counts| counts.round() as u16)
 }
 
 /// Where a snapshot has depth to go with it.

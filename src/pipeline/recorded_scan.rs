@@ -144,6 +144,7 @@ fn shading_snapshot(stored: StoredSnapshot, meta: &SnapshotMeta) -> ShadingSnaps
         device_time_secs: meta.device_time_secs,
         n_exposures: meta.n_exposures,
         ir_counts: stored.ir.map(|&counts| f32::from(counts)),
+        unlit_counts: stored.unlit.map(|image| image.map(|&c| f32::from(c))),
         depth_m: stored.depth_m,
         world_from_camera: stored.world_from_camera,
     }

@@ -73,6 +73,7 @@ fn snapshot(optics: &Optics) -> ShadingSnapshot {
         device_time_secs: 0.0,
         n_exposures: 1,
         ir_counts: Image::from_vec(camera.width, camera.height, counts),
+        unlit_counts: None,
         depth_m: Image::from_vec(camera.width, camera.height, depths),
         world_from_camera: Pose::identity(),
     }

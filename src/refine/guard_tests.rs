@@ -2,11 +2,12 @@
 
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
-use super::scenes::{RippledPlane, calibration, optics, poses, poses_all_round, rays};
+use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays};
 use super::{ImageTrust, RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
 use crate::geometry::TriMesh;
 use crate::shading::Calibration;
 use crate::snapshot::ShadingSnapshot;
+use depth_camera::Image;
 use nalgebra::Vector3;
 
 const RIPPLED: RippledPlane = RippledPlane {
@@ -73,6 +74,45 @@ fn a_surface_that_images_held_out_contradict_is_not_delivered() {
     assert!(held_out.refined.gradient > held_out.base.gradient);
     let text = RefineError::WorseThanBase(held_out).to_string();
     assert!(text.contains("% of the mean intensity"), "{text}");
+}
+
+/// Lights a room in a snapshot of the plane, from one side of the image; half as bright there as the lamp makes the plane.
+fn light_the_room(snapshot: &mut ShadingSnapshot, is_measured: bool) {
+    let gamma = calibration().gamma;
+    let linear = |counts: f32| (f64::from(counts) / FULL_SCALE).powf(1.0 / gamma);
+    let counts = |linear: f64| (FULL_SCALE * linear.powf(gamma)) as f32;
+    let (width, height) = (snapshot.ir_counts.width(), snapshot.ir_counts.height());
+    let brightest = snapshot
+        .ir_counts
+        .data()
+        .iter()
+        .copied()
+        .fold(0.0, f32::max);
+    let room = |u: usize| 0.5 * linear(brightest) * u as f64 / width as f64;
+    for (pixel, lit) in snapshot.ir_counts.data_mut().iter_mut().enumerate() {
+        *lit = counts(linear(*lit) + room(pixel % width));
+    }
+    let unlit = (0..width * height).map(|pixel| counts(room(pixel % width)));
+    snapshot.unlit_counts = is_measured.then(|| Image::from_vec(width, height, unlit.collect()));
+}
+
+#[test]
+fn light_of_the_room_does_not_bend_the_surface_where_it_was_measured() {
+    let base = FLAT.mesh(0.0025);
+    let dark = refine_from(&base, |_, _| ()).expect("delivered");
+    let lit = refine_from(&base, |_, snapshot| light_the_room(snapshot, true)).expect("delivered");
+    let farthest = |refinement: &Refinement| {
+        let pairs = dark.mesh.vertices.iter().zip(&refinement.mesh.vertices);
+        pairs.fold(0.0f64, |far, (a, b)| far.max((a - b).norm()))
+    };
+    assert!(farthest(&lit) < 1e-6, "{} m", farthest(&lit));
+    match refine_from(&base, |_, snapshot| light_the_room(snapshot, false)) {
+        Ok(bent) => assert!(farthest(&bent) > 5e-5, "{} m", farthest(&bent)),
+        Err(error) => assert!(
+            matches!(error, RefineError::SlowlyContradicted { .. }),
+            "{error}"
+        ),
+    }
 }
 
 #[test]

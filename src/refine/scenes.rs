@@ -92,6 +92,7 @@ impl RippledPlane {
             device_time_secs: 0.0,
             n_exposures: 1,
             ir_counts: Image::from_vec(camera.width, camera.height, counts),
+            unlit_counts: None,
             depth_m: Image::from_vec(camera.width, camera.height, depths),
             world_from_camera: *world_from_camera,
         }

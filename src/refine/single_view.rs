@@ -91,7 +91,7 @@ fn filtered(depth_m: &Image<f32>, guide: &Image<f32>) -> Image<f32> {
 /// Logarithm of the albedo that every pixel has if the surface is as given; NaN where that is not known.
 fn log_albedo(snapshot: &ShadingSnapshot, depth_m: &Image<f32>, optics: &Optics) -> Image<f32> {
     let linear = linearise(
-        &snapshot.ir_counts,
+        &snapshot.lit_counts(optics.full_scale, optics.calibration.gamma),
         optics.full_scale,
         SATURATION,
         optics.calibration,

@@ -151,8 +151,9 @@ impl View {
             &(light_from_camera * camera_from_world),
         )
         .depth_m;
+        let counts = snapshot.lit_counts(optics.full_scale, optics.calibration.gamma);
         let mut linear = linearise(
-            &snapshot.ir_counts,
+            &counts,
             optics.full_scale,
             SATURATION,
             optics.calibration,
@@ -160,7 +161,7 @@ impl View {
         );
         mask_edges_and_occluders(&mut linear.value, &camera_depth_m, &snapshot.depth_m);
         let model_depth_m = camera_depth_m.map(|&z| if z.is_finite() { z } else { 0.0 });
-        let lit = LitScene::new(patches, &model_depth_m, &snapshot.ir_counts);
+        let lit = LitScene::new(patches, &model_depth_m, &counts);
         let distance_m = (camera_from_world * centre).z.max(0.1);
         let cell_px = (trust.gain_cell_m * camera.intrinsics().fx / distance_m).max(4.0);
         View {

@@ -54,6 +54,23 @@ pub fn linearise(
     }
 }
 
+/// Counts that the lamp alone makes where `unlit` are those without it: light adds up before the response,
+/// `I_lamp = (I^(1/gamma) − I_unlit^(1/gamma))^gamma`. Pixels from `saturated` counts on stay as they are.
+pub fn without_ambient(
+    counts: &Image<f32>,
+    unlit: &Image<f32>,
+    saturated: f64,
+    gamma: f64,
+) -> Image<f32> {
+    let linear = |counts: f32| f64::from(counts.max(0.0)).powf(1.0 / gamma);
+    let pixels = counts.data().iter().zip(unlit.data());
+    let pixels = pixels.map(|(&counts, &unlit)| match f64::from(counts) >= saturated {
+        true => counts,
+        false => (linear(counts) - linear(unlit)).max(0.0).powf(gamma) as f32,
+    });
+    Image::from_vec(counts.width(), counts.height(), pixels.collect())
+}
+
 /// Takes off the footprint's blur; pixels beside a NaN or the border become NaN.
 fn sharpen(image: &Image<f32>) -> Image<f32> {
     let (width, height) = (image.width(), image.height());
@@ -107,6 +124,18 @@ mod tests {
     use super::*;
     use crate::geometry::CameraModel;
     use depth_camera::{Intrinsics, Sensor};
+
+    #[test]
+    fn ambient_light_is_taken_off_before_the_response() {
+        let (lamp, ambient, gamma) = (0.3f64, 0.08f64, 0.8);
+        let counts = |linear: f64| (1023.0 * linear.powf(gamma)) as f32;
+        let seen = Image::from_vec(3, 1, vec![counts(lamp + ambient), counts(ambient), 1020.0]);
+        let unlit = Image::filled(3, 1, counts(ambient));
+        let alone = without_ambient(&seen, &unlit, 0.985 * 1023.0, gamma);
+        assert!((alone.at(0, 0) - counts(lamp)).abs() < 0.01);
+        assert!(*alone.at(1, 0) < 0.1, "{}", alone.at(1, 0));
+        assert_eq!(*alone.at(2, 0), 1020.0);
+    }
 
     #[test]
     fn linearising_undoes_response_and_flat_field() {

@@ -2,7 +2,8 @@
 //!
 //! `I_obs / full scale = (c · flat(pixel) · lobe(direction from the light) · rho · (n·l) / d²)^gamma`, with the unit vector l
 //! from the surface to the light and the distance d between them. `c` and the scale of `rho` cannot be told apart; their product is called albedo here.
-//! Ambient light is not modelled: the sensors' bandpass and demodulation remove it.
+//! Ambient light is taken off beforehand ([`without_ambient`]) where an image without the lamp tells it; a Kinect II removes it by
+//! demodulation.
 
 mod calibration;
 mod flat_field;
@@ -13,5 +14,5 @@ mod tukey;
 pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
 pub use light::NearLight;
-pub use linear::{LinearImage, linearise};
+pub use linear::{LinearImage, linearise, without_ambient};
 pub use tukey::{Tukey, median, median_absolute_deviation};

@@ -23,6 +23,24 @@ pub(super) struct Exposure {
     pub(super) frame_id: u64,
     pub(super) device_time_secs: f64,
     pub(super) counts: Image<u16>,
+    mean_counts: f64,
+}
+
+impl Exposure {
+    pub(super) fn new(frame_id: u64, device_time_secs: f64, counts: Image<u16>) -> Self {
+        let sum: u64 = counts.data().iter().map(|&counts| u64::from(counts)).sum();
+        Exposure {
+            frame_id,
+            device_time_secs,
+            mean_counts: sum as f64 / counts.data().len().max(1) as f64,
+            counts,
+        }
+    }
+
+    /// Mean of all pixels.
+    pub(super) fn mean_counts(&self) -> f64 {
+        self.mean_counts
+    }
 }
 
 /// Exposures that agree, each with its brightness relative to the others.
@@ -182,11 +200,8 @@ mod tests {
 
     fn exposure(frame_id: u64, value: impl Fn(usize, usize) -> f64) -> Exposure {
         let pixels = (0..64 * 48).map(|pixel| value(pixel % 64, pixel / 64) as u16);
-        Exposure {
-            frame_id,
-            device_time_secs: frame_id as f64 / 30.0,
-            counts: Image::from_vec(64, 48, pixels.collect()),
-        }
+        let counts = Image::from_vec(64, 48, pixels.collect());
+        Exposure::new(frame_id, frame_id as f64 / 30.0, counts)
     }
 
     #[test]

@@ -2,12 +2,14 @@
 //! uncovers the projector again; nobody tells the program, the images do.
 //!
 //! *Exposures* are IR images without depth and without speckle that the lamp lights. Those between two tracked frames form
-//! a *group*: they become one shading image at the pose that [`HeldPose`] says. When there are more groups than `max_snapshots`, those that tell most are kept, as for the Kinect II; up to that number each pose that the operator
+//! a *group*: they become one shading image at the pose that [`HeldPose`] says; those of the group that the lamp does not light become its
+//! ambient light. When there are more groups than `max_snapshots`, those that tell most are kept, as for the Kinect II; up to that number each pose that the operator
 //! took the trouble to hold is kept, however little it adds.
 
 use super::exposures::{Agreeing, Exposure, agreeing, saturated_share};
 use super::guide::{Guidance, Guide};
 use super::information::{Optics, ViewInformation, view_information};
+use super::lamp_group::LampGroup;
 use super::pool::Pool;
 use super::rejection::{RejectReason, Rejection, Rejections};
 use super::speckle::{Texture, texture};
@@ -26,7 +28,7 @@ pub(super) struct ShadingSequence {
     /// The last tracked frame; `None` while the pose is not known.
     before: Option<Placed>,
     /// The group that is open.
-    exposures: Vec<Exposure>,
+    group: LampGroup,
     pool: Pool,
     rejected: Rejections,
     guide: Guide,
@@ -48,7 +50,7 @@ impl ShadingSequence {
             pool: Pool::new(2 * params.max_snapshots),
             params,
             before: None,
-            exposures: Vec::new(),
+            group: LampGroup::default(),
             rejected: Rejections::default(),
             guide: Guide::default(),
             is_requested: false,
@@ -108,7 +110,7 @@ impl ShadingSequence {
 
     /// Whether exposures of a pose are being taken.
     pub(super) fn is_exposing(&self) -> bool {
-        !self.exposures.is_empty()
+        !self.group.exposures().is_empty()
     }
 
     pub(super) fn request(&mut self, is_requested: bool) {
@@ -121,7 +123,7 @@ impl ShadingSequence {
 
     pub(super) fn forget_after(&mut self, after_secs: f64) {
         self.pool.forget_after(after_secs);
-        self.exposures.clear();
+        self.group = LampGroup::default();
         self.before = None;
         self.guide.lost();
     }
@@ -151,33 +153,22 @@ impl ShadingSequence {
         let (Some(ir), Some(texture)) = (&frame.ir, texture) else {
             return;
         };
-        let reason = if texture.is_speckled() {
-            RejectReason::Speckle {
-                energy: texture.speckle_energy,
-            }
+        let image = || Exposure::new(frame.frame_id, frame.device_time_secs, ir.clone());
+        let max_exposures = self.params.max_exposures;
+        if texture.is_speckled() {
+            let energy = texture.speckle_energy;
+            self.reject(frame.frame_id, RejectReason::Speckle { energy });
         } else if texture.is_dark() {
-            RejectReason::Dark {
-                lit_share: texture.lit_share,
-            }
+            self.group.add_unlit(image(), max_exposures);
+            let lit_share = texture.lit_share;
+            self.reject(frame.frame_id, RejectReason::Dark { lit_share });
         } else if self.before.is_none() {
-            RejectReason::NotTracked
-        } else if self.exposures.len() >= self.params.max_exposures {
-            RejectReason::Surplus
+            self.reject(frame.frame_id, RejectReason::NotTracked);
         } else {
-            self.exposures.push(Exposure {
-                frame_id: frame.frame_id,
-                device_time_secs: frame.device_time_secs,
-                counts: ir.clone(),
-            });
-            self.follow_cover(texture);
-            return;
-        };
-        self.follow_cover(texture);
-        self.reject(frame.frame_id, reason);
-    }
-
-    fn follow_cover(&mut self, texture: &Texture) {
-        let n_exposures = self.exposures.len();
+            let refused = self.group.add(image(), max_exposures);
+            self.rejected.extend(refused);
+        }
+        let n_exposures = self.group.exposures().len();
         self.guide
             .covered(texture, n_exposures, self.params.min_exposures);
     }
@@ -198,18 +189,19 @@ impl ShadingSequence {
 
     /// Ends the open group at the first frame that is tracked again.
     fn close(&mut self, world_from_after: &Pose, model: Option<&ModelMap>) {
-        let exposures = std::mem::take(&mut self.exposures);
-        if exposures.is_empty() {
+        let group = std::mem::take(&mut self.group);
+        if group.exposures().is_empty() {
             return;
         }
         let (agreeing, changed) = agreeing(
-            &exposures,
+            group.exposures(),
             self.optics.full_scale,
             self.params.max_changed_share,
         );
         self.rejected.extend(changed);
         match self.develop(&agreeing, world_from_after) {
-            Ok(snapshot) => {
+            Ok(mut snapshot) => {
+                snapshot.unlit_counts = group.unlit_counts();
                 let view = model.map_or_else(ViewInformation::default, |model| {
                     view_information(&snapshot, model, &self.optics)
                 });
@@ -256,6 +248,7 @@ impl ShadingSequence {
             device_time_secs: first.device_time_secs,
             n_exposures,
             ir_counts,
+            unlit_counts: None,
             depth_m: before.depth_m.clone(),
             world_from_camera,
         })
@@ -277,7 +270,7 @@ impl ShadingSequence {
 
     /// Gives the open group up.
     fn abandon(&mut self, reason: RejectReason) {
-        for exposure in std::mem::take(&mut self.exposures) {
+        for exposure in std::mem::take(&mut self.group).exposures() {
             self.reject(exposure.frame_id, reason);
         }
     }

@@ -179,6 +179,7 @@ fn candidate(frame: &Frame, ir: &Image<u16>, world_from_camera: Pose) -> Option<
         device_time_secs: frame.device_time_secs,
         n_exposures: 1,
         ir_counts: ir.map(|&counts| f32::from(counts)),
+        unlit_counts: None,
         depth_m: frame.depth.clone()?,
         world_from_camera,
     })

@@ -3,12 +3,12 @@
 //! A *shading image* is lit by the sensor's light alone and its pose is known. A Kinect II lights every IR frame itself, so
 //! the question is which frames are worth refining with: those that see the surface from tilts that the others lack. A
 //! Kinect I shows its projector's speckle until the operator holds still, covers the projector and lights the lamp: that
-//! sequence is recognised from the images, and its exposures are averaged. What a view is worth is its *information*: the
+//! sequence is recognised from the images, and its exposures are averaged; images from before the lamp was lit tell what light there is
+//! beside it. What a view is worth is its *information*: the
 //! tilts of the surface that change its brightness, see `information.rs`.
 //!
 //! Pure: frames in, a selection out; memory is bounded by [`SnapshotParams::max_snapshots`] but for one line per 20 mm of
-//! surface and side that it was lit from. Not handled: ambient IR, a lamp that is moved by hand, IR that is not aligned with
-//! depth.
+//! surface and side that it was lit from. Not handled: a lamp that is moved by hand, IR that is not aligned with depth.
 
 mod kinect1;
 mod kinect2;
@@ -18,6 +18,7 @@ mod rejection;
 mod exposures;
 mod guide;
 mod information;
+mod lamp_group;
 mod pool;
 mod speckle;
 
@@ -40,10 +41,12 @@ pub use speckle::{Texture, texture};
 
 use crate::fusion::{ModelMap, TrackingOutcome};
 use crate::geometry::Pose;
+use crate::shading::without_ambient;
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use information::Optics;
 use kinect1::ShadingSequence;
 use kinect2::EmitterStream;
+use std::borrow::Cow;
 
 /// An IR image that refinement can use: lit by the sensor's light alone, the camera still and its pose known.
 #[derive(Clone, Debug)]
@@ -56,10 +59,27 @@ pub struct ShadingSnapshot {
     pub n_exposures: usize,
     /// IR counts, response not removed.
     pub ir_counts: Image<f32>,
+    /// Counts of the same pose without its light, where they were taken: what ambient light makes.
+    pub unlit_counts: Option<Image<f32>>,
     /// Depth from the same pose, metres, 0 is none; it tells what hides the object.
     pub depth_m: Image<f32>,
     /// Pose of the camera, from tracking.
     pub world_from_camera: Pose,
+}
+
+impl ShadingSnapshot {
+    /// IR counts that its light alone would make, through the same response.
+    pub fn lit_counts(&self, full_scale: f64, gamma: f64) -> Cow<'_, Image<f32>> {
+        match &self.unlit_counts {
+            None => Cow::Borrowed(&self.ir_counts),
+            Some(unlit) => Cow::Owned(without_ambient(
+                &self.ir_counts,
+                unlit,
+                SATURATION * full_scale,
+                gamma,
+            )),
+        }
+    }
 }
 
 /// A frame with what tracking made of it.

@@ -99,6 +99,11 @@ pub enum RejectReason {
         /// Share of the image that is lit.
         lit_share: f64,
     },
+    /// Kinect I: light there is, but not the lamp's; it tells what the room adds to the lamp.
+    Unlit {
+        /// Brightness against that of the pose under the lamp.
+        brightness: f64,
+    },
     /// Kinect I: no speckle, but depth is there, so the projector is not covered.
     Uncovered {
         /// Share of the pixels with depth.
@@ -141,6 +146,7 @@ impl RejectReason {
             RejectReason::Redundant { .. } => "redundant",
             RejectReason::Speckle { .. } => "speckle",
             RejectReason::Dark { .. } => "dark",
+            RejectReason::Unlit { .. } => "unlit",
             RejectReason::Uncovered { .. } => "uncovered",
             RejectReason::NotStill { .. } => "not_still",
             RejectReason::Changed { .. } => "changed",
@@ -165,7 +171,7 @@ impl RejectReason {
             RejectReason::Speckle { .. } | RejectReason::Uncovered { .. } => {
                 "Cover the projector before the picture."
             }
-            RejectReason::Dark { .. } => "Light the lamp.",
+            RejectReason::Dark { .. } | RejectReason::Unlit { .. } => "Light the lamp.",
             RejectReason::NotStill { .. } => {
                 "Hold still from before the projector is covered until it is free again."
             }
@@ -206,6 +212,11 @@ impl fmt::Display for RejectReason {
             RejectReason::Dark { lit_share } => {
                 write!(f, "only {:.1} % of the image is lit", 100.0 * lit_share)
             }
+            RejectReason::Unlit { brightness } => write!(
+                f,
+                "without the lamp, {:.1} % as bright as with it",
+                100.0 * brightness
+            ),
             RejectReason::Uncovered { depth_share } => write!(
                 f,
                 "{:.1} % of the pixels have depth, the projector is not covered",

@@ -66,6 +66,7 @@ pub(super) fn view_of_plane(
         device_time_secs: 0.0,
         n_exposures: 1,
         ir_counts: Image::filled(128, 106, 65535.0 / 3.0),
+        unlit_counts: None,
         depth_m: seen_by(plane, world_from_camera, &camera)
             .map(|hit| hit.map_or(0.0, |point| (world_from_camera.inverse() * point).z as f32)),
         world_from_camera: *world_from_camera,

@@ -91,6 +91,41 @@ fn a_still_group_becomes_one_image_at_the_pose_between() {
 }
 
 #[test]
+fn images_from_before_the_lamp_was_lit_are_the_ambient_light_of_their_pose_alone() {
+    use Shows::*;
+    let dark_room = [Depth(0.0), Nothing, Nothing, Lamp(300), Lamp(300)];
+    let lit_room = [
+        Depth(0.0),
+        Lamp(60),
+        Lamp(60),
+        Lamp(60),
+        Lamp(300),
+        Lamp(300),
+    ];
+    let no_pause = [Depth(0.0), Lamp(300), Lamp(300), Depth(0.0)];
+    let selection = select(&[&dark_room[..], &lit_room, &no_pause].concat());
+    let unlit = selection.accepted.iter().map(|snapshot| {
+        let counts = snapshot.unlit_counts.as_ref();
+        (snapshot.n_exposures, counts.map(|counts| *counts.at(9, 9)))
+    });
+    let unlit: Vec<_> = unlit.collect();
+    let is_near =
+        |found: Option<f32>, counts: f32| found.is_some_and(|found| (found - counts).abs() < 1e-3);
+    assert_eq!(unlit.len(), 3);
+    assert!(unlit.iter().all(|(n_exposures, _)| *n_exposures == 2));
+    assert!(
+        is_near(unlit[0].1, 3.0) && is_near(unlit[1].1, 60.0),
+        "{unlit:?}"
+    );
+    assert_eq!(unlit[2].1, None);
+    let told = "without the lamp, 20.0 % as bright as with it".to_owned();
+    assert_eq!(
+        reasons(&selection)[2..],
+        [(6, told.clone()), (7, told.clone()), (8, told)]
+    );
+}
+
+#[test]
 fn a_group_during_which_the_camera_moved_is_refused_with_figures() {
     use Shows::*;
     let info = scenes::camera_info(Sensor::Kinect1);
