@@ -131,6 +131,8 @@ pub struct RefinedMesh {
     pub edge_length_m: f64,
     /// The materials found, in the order of their labels, from dark to bright.
     pub albedo: Vec<AlbedoShare>,
+    /// Brightness at the middle of the gloss that the images show, in albedos; 0 where the surface is taken for matte.
+    pub gloss: f64,
     /// Difference of rendered and observed IR over all views on the base mesh, root mean square, share of the mean observed
     /// linear intensity.
     pub rmse_before: f64,

@@ -44,6 +44,7 @@ pub(super) fn refinement(refined: &RefinedMesh, pictures: &EncodedPictures) -> M
                         @if label > 0 { ", " }
                         (fixed(material.albedo, 3)) " (label " (label) ") on " (fixed(100.0 * material.area_share, 0)) " % of the surface"
                     } "."
+                    @if refined.gloss > 0.0 { " It is glossy: " (fixed(refined.gloss, 2)) " of its albedo at the middle of a highlight." }
                 }
             }
             @if !pictures.fields.is_empty() {

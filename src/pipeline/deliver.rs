@@ -118,19 +118,22 @@ impl Outbox {
         masks: Option<&[Image<u8>]>,
         info: &CameraInfo,
     ) {
-        let images: Vec<(Image<u16>, Option<Image<u16>>, Image<u8>)> = snapshots
+        let images: Vec<(Image<u16>, Image<u8>)> = snapshots
             .iter()
             .enumerate()
             .map(|(k, snapshot)| {
                 let mask = masks.map_or_else(|| depth_mask(snapshot), |masks| masks[k].clone());
-                let unlit = snapshot.unlit_counts.as_ref().map(counts);
-                (counts(&snapshot.ir_counts), unlit, mask)
+                (counts(&snapshot.ir_counts), mask)
             })
             .collect();
+        let unlit = snapshots.iter().map(|snapshot| &snapshot.unlit_counts);
+        let unlit: Vec<Option<Image<u16>>> =
+            unlit.map(|unlit| unlit.as_ref().map(counts)).collect();
         let records: Vec<SnapshotRecord> = snapshots
             .iter()
             .zip(&images)
-            .map(|(snapshot, (ir, unlit, mask))| SnapshotRecord {
+            .zip(&unlit)
+            .map(|((snapshot, (ir, mask)), unlit)| SnapshotRecord {
                 ir,
                 unlit: unlit.as_ref(),
                 mask,

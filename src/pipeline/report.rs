@@ -240,6 +240,7 @@ fn refined_mesh(
             .iter()
             .map(|&(albedo, area_share)| AlbedoShare { albedo, area_share })
             .collect(),
+        gloss: refinement.gloss.strength,
         rmse_before: refinement.rmse_before,
         rmse_after: refinement.rmse_after,
         held_out: held_out(&refinement.judgement),

@@ -117,7 +117,9 @@ fn row(view: &View, sample: &Sample, albedo: f64, centre: &Point3<f64>) -> Optio
     let (light, n) = (view.light(), &sample.normal_camera);
     let prediction = albedo * sample.unit_prediction;
     let scale = look.gain * albedo;
-    let by_normal = view.arriving(&look.point_camera, &look.pixel) * -scale;
+    let highlight = view.highlight(&look.point_camera, n);
+    let by_normal = (view.arriving(&look.point_camera, &look.pixel) + highlight.by_normal) * -scale;
+    // Light over other surfaces and the highlight are taken to stay as the point moves.
     let by_point =
         view.image_gradient(look)? - light.irradiance_by_point(&look.point_camera, n) * scale;
     // A turn ω moves the point by ω × lever and the normal by ω × n.

@@ -1,11 +1,14 @@
 //! Bad input: each kind is refused with its figure, or leaves the base surface alone.
 
+use super::energy::unit_normal;
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
 use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays};
-use super::{ImageTrust, RefineError, RefineParams, Refinement, Subject, cross_validate, refine};
+use super::{
+    ImageTrust, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate, refine,
+};
 use crate::geometry::TriMesh;
-use crate::shading::Calibration;
+use crate::shading::{Calibration, Gloss};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
 use nalgebra::Vector3;
@@ -172,6 +175,75 @@ fn slow_differences_of_brightness_are_measured_and_bounded() {
     assert!(text.contains("gamma or light is wrong"), "{text}");
 }
 
+/// Refines by images from all round; `is_asked` whether they are asked for response and gloss.
+fn refine_all_round(
+    base: &TriMesh,
+    snapshots: &[ShadingSnapshot],
+    optics: &Optics,
+    is_asked: bool,
+) -> Result<Refinement, RefineError> {
+    let mut params = RefineParams {
+        edge_length_m: 0.0015,
+        ..RefineParams::default()
+    };
+    params.self_calibration.enabled = is_asked;
+    let subject = Subject {
+        scene: base,
+        object: base,
+        snapshots,
+        optics,
+    };
+    refine(&subject, &params, |_| true)
+}
+
+#[test]
+fn gloss_does_not_bend_the_surface() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let gloss = Gloss {
+        strength: 0.5,
+        power: 20.0,
+    };
+    let snapshots = poses_all_round();
+    let snapshots = snapshots.iter().map(|pose| {
+        let mut snapshot = RIPPLED.snapshot(&optics, pose);
+        RIPPLED.polish(&mut snapshot, gloss, &optics);
+        snapshot
+    });
+    let snapshots: Vec<_> = snapshots.collect();
+    let refined = |is_asked| refine_all_round(&base, &snapshots, &optics, is_asked);
+    let normal_error = |mesh: &TriMesh| {
+        let angles = (0..mesh.faces.len()).filter_map(|face| {
+            let centre = mesh.centroid(face);
+            let is_inside = centre.x.abs() < 0.03 && centre.y.abs() < 0.03;
+            let (normal, _) = unit_normal(mesh, face).filter(|_| is_inside)?;
+            Some(normal.angle(&RIPPLED.normal(centre.x, centre.y)))
+        });
+        let angles: Vec<f64> = angles.collect();
+        angles.iter().sum::<f64>() / angles.len() as f64
+    };
+    let glossy = refined(true).expect("gloss is told");
+    let told = glossy.gloss.strength;
+    assert!((told - gloss.strength).abs() < 0.2, "{:?}", glossy.gloss);
+    let (error, of_base) = (normal_error(&glossy.mesh), normal_error(&base));
+    assert!(error < 0.5 * of_base, "{error} of {of_base} rad");
+    match refined(false) {
+        Ok(matte) => {
+            assert_eq!(matte.gloss, Gloss::default());
+            let believed_matte = normal_error(&matte.mesh);
+            assert!(
+                error < 0.8 * believed_matte,
+                "{error}, {believed_matte} rad"
+            );
+        }
+        Err(told) => assert!(
+            matches!(told, RefineError::SlowlyContradicted { .. }),
+            "{told}"
+        ),
+    }
+}
+
 #[test]
 fn a_surface_is_refined_by_what_the_images_say_of_the_response() {
     let (rays, truth) = (rays(), calibration());
@@ -186,19 +258,8 @@ fn a_surface_is_refined_by_what_the_images_say_of_the_response() {
         gamma: 1.3,
         ..truth.clone()
     };
-    let refined = |believed: &Calibration, enabled: bool| {
-        let mut params = RefineParams {
-            edge_length_m: 0.0015,
-            ..RefineParams::default()
-        };
-        params.self_calibration.enabled = enabled;
-        let subject = Subject {
-            scene: &base,
-            object: &base,
-            snapshots: &snapshots,
-            optics: &true_optics.with(believed),
-        };
-        refine(&subject, &params, |_| true)
+    let refined = |believed: &Calibration, is_asked: bool| {
+        refine_all_round(&base, &snapshots, &true_optics.with(believed), is_asked)
     };
     let held = |refined: &Refinement| refined.judgement.overall.refined.intensity;
     let right = refined(&truth, true).expect("the light is right");

@@ -5,7 +5,8 @@
 //! albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed normals.
 //!
 //! Light that arrives over other surfaces is predicted beside the lamp's. A calibration that the images contradict is replaced by what they
-//! say. Not handled: specular highlights beyond what the robust loss rejects.
+//! say, and gloss is predicted where they show it ([`Gloss`]). Not handled: a gloss for each material; narrow highlights are left to the robust
+//! loss.
 
 mod albedo;
 mod alignment;
@@ -65,6 +66,7 @@ pub use solver::{Iteration, RefineStatus, Step};
 pub use view::{HIDING_CELL_M, ImageTrust};
 
 use crate::geometry::TriMesh;
+use crate::shading::Gloss;
 use depth_camera::Image;
 use error::MAX_BELIEVABLE_RMSE;
 use held_out::{every, judge, views_to_hold_out};
@@ -127,6 +129,8 @@ pub struct Refinement {
     pub masks: Vec<Image<u8>>,
     /// What the images say against the calibration; then the surface was refined by what they say.
     pub contradiction: Option<Contradiction>,
+    /// How glossy the images show the surface to be.
+    pub gloss: Gloss,
 }
 
 /// Refines the surface of an object.
@@ -193,7 +197,8 @@ pub fn refine(
         views,
         judgement,
         masks: state.views.iter().map(View::mask).collect(),
-        contradiction: prepared.contradiction().cloned(),
+        contradiction: prepared.told().contradiction.clone(),
+        gloss: prepared.told().gloss,
         mesh: state.surface.mesh,
     })
 }

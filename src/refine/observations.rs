@@ -8,7 +8,7 @@ use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
 use crate::shading::median_absolute_deviation;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 /// One site in one view.
@@ -19,12 +19,14 @@ pub struct Observation {
     /// Light that arrives, towards the light, in the same unit: its product with the unit normal is the prediction for unit
     /// albedo. World frame.
     light: [f32; 3],
+    /// What gloss adds at the normal of the start of the round, and the light does not say: its highlight is linear about that.
+    highlight: f32,
     /// Pixels that a square metre covers, by the unit normal, world frame.
     pixels_per_m2: [f32; 3],
 }
 
 impl Observation {
-    /// Light that arrives, as a vector whose product with the unit normal is the prediction for unit albedo, in sigmas.
+    /// Derivative of [`Self::unit_prediction`] by the unit normal: the light that arrives, and the slope of the highlight.
     #[inline]
     pub fn light(&self) -> Vector3<f64> {
         Vector3::from(self.light.map(f64::from))
@@ -33,7 +35,7 @@ impl Observation {
     /// Prediction for unit albedo, in sigmas; `None` where the surface faces away from the light.
     #[inline]
     pub fn unit_prediction(&self, normal: &Vector3<f64>) -> Option<f64> {
-        let unit = self.light().dot(normal);
+        let unit = self.light().dot(normal) + f64::from(self.highlight);
         (unit > 0.0).then_some(unit)
     }
 
@@ -84,7 +86,7 @@ impl Observations {
             let before = entries.len();
             while set != 0 {
                 let view = &views[set.trailing_zeros() as usize];
-                entries.extend(view.observe(&sites.points[face]));
+                entries.extend(view.observe(&sites.points[face], &sites.normals[face]));
                 set &= set - 1;
             }
             (entries.len() - before) as u32
@@ -135,15 +137,24 @@ impl Observations {
 
 impl View {
     /// What this view shows at a point; `None` where its pixel is unusable.
-    fn observe(&self, point_world: &nalgebra::Point3<f64>) -> Option<Observation> {
+    fn observe(
+        &self,
+        point_world: &Point3<f64>,
+        normal_world: &Vector3<f64>,
+    ) -> Option<Observation> {
         let seen = self.look(point_world)?;
         let inv_sigma = 1.0 / seen.sigma;
         let world_from_camera = self.camera_from_world.rotation.inverse();
-        let light = world_from_camera * self.arriving(&seen.point_camera, &seen.pixel);
+        let normal = self.camera_from_world * normal_world;
+        let highlight = self.highlight(&seen.point_camera, &normal);
+        let arriving = self.arriving(&seen.point_camera, &seen.pixel) + highlight.by_normal;
+        let light = world_from_camera * arriving;
+        let beside = highlight.value - highlight.by_normal.dot(&normal);
         let narrow = |v: Vector3<f64>| [v.x, v.y, v.z].map(|x| x as f32);
         Some(Observation {
             observed: (seen.observed * inv_sigma) as f32,
             light: narrow(light * (seen.gain * inv_sigma)),
+            highlight: (beside * seen.gain * inv_sigma) as f32,
             pixels_per_m2: narrow(world_from_camera * self.pixels_per_m2(&seen.point_camera)),
         })
     }

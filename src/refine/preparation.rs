@@ -11,7 +11,7 @@ use super::params::RefineParams;
 use super::patches::{self, Patch};
 use super::remesh::{RemeshParams, remesh};
 use super::rounds::{Rounds, State, centre_of};
-use super::self_calibration::{Contradiction, Tolerance, contradiction};
+use super::self_calibration::{Contradiction, Told, Tolerance, told_by_images};
 use super::sites::{Sites, ViewError, ViewSet};
 use super::solver::Pattern;
 use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
@@ -45,7 +45,7 @@ pub struct Preparation {
     patches: Vec<Patch>,
     neighbours: Vec<[u32; 3]>,
     pattern: Pattern,
-    contradiction: Option<Contradiction>,
+    told: Told,
 }
 
 impl Preparation {
@@ -78,7 +78,7 @@ impl Preparation {
         let mut views = views_of(subject, &params, centre);
         let mut sites = Sites::new(&mesh, &views, first_views(views.len()));
         let told = ask(&mesh, &sites, &views, optics, &params, Tolerance::FINISHED);
-        if let Some(Contradiction { calibration, .. }) = &told {
+        if let Some(Contradiction { calibration, .. }) = &told.contradiction {
             // Both sets of views are large.
             views.clear();
             let relit = Subject {
@@ -88,6 +88,7 @@ impl Preparation {
             views = views_of(&relit, &params, centre);
             sites = Sites::new(&mesh, &views, first_views(views.len()));
         }
+        views.iter_mut().for_each(|view| view.gloss = told.gloss);
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
         let couplings = Couplings::new(&mesh, &edges, &patches);
@@ -103,7 +104,7 @@ impl Preparation {
             patches,
             neighbours,
             pattern: pattern.ok_or(RefineError::OutOfMemory)?,
-            contradiction: told,
+            told,
         })
     }
 
@@ -172,9 +173,9 @@ impl Preparation {
         self.params.edge_length_m
     }
 
-    /// What the images said against the calibration; then the views were made with theirs.
-    pub fn contradiction(&self) -> Option<&Contradiction> {
-        self.contradiction.as_ref()
+    /// What the images said of calibration and gloss; then the views were made with that.
+    pub fn told(&self) -> &Told {
+        &self.told
     }
 
     fn why_nothing_is_visible(&self, subject: &Subject) -> RefineError {
@@ -232,7 +233,7 @@ fn views_of(subject: &Subject, params: &RefineParams, centre: Point3<f64>) -> Ve
     views
 }
 
-/// What the views of a surface say against the calibration that they were made with.
+/// What the views of a surface say of the calibration that they were made with, and of gloss.
 fn ask(
     mesh: &TriMesh,
     sites: &Sites,
@@ -240,12 +241,12 @@ fn ask(
     optics: &Optics,
     params: &RefineParams,
     tolerance: Tolerance,
-) -> Option<Contradiction> {
+) -> Told {
     let params = &params.self_calibration;
-    let is_asked = params.enabled;
-    is_asked
-        .then(|| contradiction(mesh, sites, views, optics, params, tolerance))
-        .flatten()
+    match params.enabled {
+        true => told_by_images(mesh, sites, views, optics, params, tolerance),
+        false => Told::default(),
+    }
 }
 
 /// What the images of a scan say against its calibration before its depth is corrected for good.
@@ -261,6 +262,7 @@ pub fn contradiction_as_tracked(subject: &Subject, params: &RefineParams) -> Opt
         params,
         Tolerance::AS_TRACKED,
     )
+    .contradiction
 }
 
 /// The median of what is plausible for each view: a scan has one light.

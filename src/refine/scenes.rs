@@ -11,7 +11,7 @@ use super::solver::{Pattern, SolverParams, minimise};
 use super::view::{ImageTrust, View, ViewContext};
 use super::{RefineParams, patches};
 use crate::geometry::{CameraModel, EdgeAdjacency, Pose, RayGrid, TriMesh, increment};
-use crate::shading::{Calibration, NearLight};
+use crate::shading::{Calibration, Gloss, NearLight};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics, Sensor};
 use nalgebra::{Point3, Vector3, Vector6};
@@ -95,6 +95,24 @@ impl RippledPlane {
             unlit_counts: None,
             depth_m: Image::from_vec(camera.width, camera.height, depths),
             world_from_camera: *world_from_camera,
+        }
+    }
+
+    /// Adds what the plane shows if it is glossy.
+    pub fn polish(&self, snapshot: &mut ShadingSnapshot, gloss: Gloss, optics: &Optics) {
+        let world_from_camera = snapshot.world_from_camera;
+        let rays = optics.rays.rays().data().iter();
+        let pixels = snapshot.ir_counts.data_mut().iter_mut();
+        for ((counts, depth), [x, y]) in pixels.zip(snapshot.depth_m.data()).zip(rays) {
+            let (x, y) = (f64::from(*x), f64::from(*y));
+            let point = Point3::new(x, y, 1.0) * f64::from(*depth);
+            let on_plane = world_from_camera * point;
+            let normal = world_from_camera.inverse() * self.normal(on_plane.x, on_plane.y);
+            let highlight = gloss.highlight(&point, &normal, &optics.light.incident(&point));
+            let gamma = optics.calibration.gamma;
+            let flat = optics.calibration.flat_field.factor(x, y);
+            let matte = (f64::from(*counts) / FULL_SCALE).powf(1.0 / gamma);
+            *counts = (FULL_SCALE * (matte + ALBEDO * highlight.value * flat).powf(gamma)) as f32;
         }
     }
 

@@ -5,7 +5,7 @@
 //! the light with the integral of the normal, and that depends on the rim alone, so that noise and detail that the fused surface
 //! gets wrong do not count. Facet by facet gamma comes out up to 6 % too high on the recorded scans, patch by patch within 1.5 %.
 //!
-//! Unknown are gamma, the light's place and lobe, how strong indirect light is, and a gain a view; each patch has its own albedo
+//! Unknown are gamma, the light's place and lobe, how strong indirect light is, how glossy the surface, and a gain a view; each patch has its own albedo
 //! and tilt, which are eliminated. Residuals are of `ln I / gamma`, for it is the surface that errs and not the image.
 //!
 //! Not told: the light's place along the optical axis, which is nearly one with gamma, and the flat field, which is nearly one
@@ -16,7 +16,7 @@ use super::optics::Optics;
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
-use crate::shading::{Calibration, NearLight, Tukey, median, median_absolute_deviation};
+use crate::shading::{Calibration, Gloss, NearLight, Tukey, median, median_absolute_deviation};
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -69,8 +69,14 @@ const LIGHT_DEPTH_SIGMA_M: f64 = 0.001;
 const INDIRECT_SIGMA: f64 = 0.3;
 /// Standard deviation of a view's gain as a share of it: as in alignment.
 const GAIN_SIGMA: f64 = 0.015;
-/// Unknowns that all views share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light.
-const N_SHARED: usize = 6;
+/// Standard deviation of the strength of gloss, in albedos.
+const GLOSS_SIGMA: f64 = 0.3;
+/// Standard deviation of the logarithm of its exponent, and the exponents that are believed.
+const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
+const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
+/// Unknowns that all views share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light, strength
+/// of gloss and the logarithm of its exponent.
+const N_SHARED: usize = 8;
 /// Gauss-Newton steps at most, and the change of 1/gamma that ends them.
 const MAX_STEPS: usize = 12;
 const SETTLED: f64 = 1e-4;
@@ -102,6 +108,9 @@ impl Tolerance {
         lobe: 3.0,
     };
 }
+
+/// Less gloss is none: recorded scans of matte surfaces show 0.01 at most.
+const MIN_GLOSS: f64 = 0.05;
 
 /// And by at least so many standard deviations.
 const MIN_SIGMAS: f64 = 3.0;
@@ -135,28 +144,39 @@ impl fmt::Display for Contradiction {
     }
 }
 
-/// What the images tell of response and light from a surface, whose `sites` the views see; `None` where that is nothing else
-/// than the calibration in `optics`.
-pub fn contradiction(
+/// What the images tell.
+#[derive(Clone, Debug, Default)]
+pub struct Told {
+    /// Of response and light, where that is something else than the calibration.
+    pub contradiction: Option<Contradiction>,
+    /// Of the surface.
+    pub gloss: Gloss,
+}
+
+/// What the images tell of response, light and gloss from a surface, whose `sites` the views see.
+pub fn told_by_images(
     mesh: &TriMesh,
     sites: &Sites,
     views: &[View],
     optics: &Optics,
     params: &SelfCalibrationParams,
     tolerance: Tolerance,
-) -> Option<Contradiction> {
+) -> Told {
     let believed = optics.calibration;
     let mut patches = LitPatch::all(mesh, sites, views, optics);
     if patches.len() < MIN_PATCHES {
-        return None;
+        return Told::default();
     }
     let start = Unknowns {
         inv_gamma: 1.0 / believed.gamma,
         light: optics.light,
         log_indirect: 0.0,
+        gloss: Gloss::default(),
         log_gains: vec![0.0; views.len()],
     };
-    let (found, sigmas) = fit(&mut patches, &start, params)?;
+    let Some((found, sigmas)) = fit(&mut patches, &start, params) else {
+        return Told::default();
+    };
     let misfit = residual_scale(&patches, &found);
     let gamma_change = (found.inv_gamma / start.inv_gamma).ln();
     let moved = found.light.position - start.light.position;
@@ -177,16 +197,27 @@ pub fn contradiction(
         light_moved_mm = 1e3 * moved.xy().norm(),
         lobe_power = calibration.light.lobe_power,
         indirect = found.log_indirect.exp(),
+        gloss = found.gloss.strength,
+        gloss_power = found.gloss.power,
         patches = patches.len(),
         misfit,
         is_contradicted,
         "response and light by the images"
     );
-    (is_contradicted && calibration.validate().is_ok()).then(|| Contradiction {
-        believed_gamma: believed.gamma,
-        light_moved_m: moved.xy().norm(),
-        calibration,
-    })
+    let is_glossy = is_explained && exceeds(found.gloss.strength, MIN_GLOSS, sigmas[6]);
+    let is_contradicted = is_contradicted && calibration.validate().is_ok();
+    Told {
+        contradiction: is_contradicted.then(|| Contradiction {
+            believed_gamma: believed.gamma,
+            light_moved_m: moved.xy().norm(),
+            calibration,
+        }),
+        gloss: if is_glossy {
+            found.gloss
+        } else {
+            Gloss::default()
+        },
+    }
 }
 
 /// A patch in one view.
@@ -318,10 +349,12 @@ struct Unknowns {
     inv_gamma: f64,
     light: NearLight,
     log_indirect: f64,
+    gloss: Gloss,
     log_gains: Vec<f64>,
 }
 
-/// A residual, `ln I / gamma - ln flat - ln (n · E) - ln rho - ln gain`, and its derivatives.
+/// A residual, `ln I / gamma - ln flat - ln (n · E + gloss) - ln rho - ln gain`, and its derivatives; gloss is taken to stay as the light
+/// moves.
 struct Row {
     residual: f64,
     by_shared: SVector<f64, N_SHARED>,
@@ -336,15 +369,25 @@ impl Unknowns {
         let indirect = reading.indirect * self.log_indirect.exp();
         let direct = self.light.incident(&reading.point);
         let arriving = direct + indirect;
-        let irradiance = normal.dot(&arriving);
+        // Of strength 1, which is also the derivative by the strength.
+        let strength = self.gloss.strength;
+        let gloss = Gloss {
+            strength: 1.0,
+            ..self.gloss
+        };
+        let highlight = gloss.highlight(&reading.point, &normal, &direct);
+        let cosine_to_power = (highlight.value / direct.norm()).max(f64::MIN_POSITIVE);
+        let irradiance = normal.dot(&arriving) + strength * highlight.value;
         if irradiance <= 0.0 {
             return None;
         }
+        let by_normal = arriving + highlight.by_normal * strength;
         // The light moves as the point does, the other way.
         let by_light = self.light.irradiance_by_point(&reading.point, &normal) / irradiance;
         let ray = reading.point - self.light.position;
         let log_cosine = (ray.z / ray.norm()).max(f64::MIN_POSITIVE).ln();
-        let by_lobe = -normal.dot(&direct) / irradiance * log_cosine;
+        let lit_directly = normal.dot(&direct) + strength * highlight.value;
+        let by_lobe = -lit_directly / irradiance * log_cosine;
         let by_indirect = -normal.dot(&indirect) / irradiance;
         Some(Row {
             residual: reading.log_observed * self.inv_gamma
@@ -359,11 +402,13 @@ impl Unknowns {
                 by_light.z,
                 by_lobe,
                 by_indirect,
+                -highlight.value / irradiance,
+                -strength * highlight.value * cosine_to_power.ln() / irradiance,
             ]),
             by_own: Vector3::new(
                 -1.0,
-                -first.dot(&arriving) / irradiance,
-                -second.dot(&arriving) / irradiance,
+                -first.dot(&by_normal) / irradiance,
+                -second.dot(&by_normal) / irradiance,
             ),
         })
     }
@@ -376,6 +421,9 @@ impl Unknowns {
         }
         next.light.lobe_power = (next.light.lobe_power + step[4]).max(0.0);
         next.log_indirect += step[5];
+        next.gloss.strength = (next.gloss.strength + step[6]).max(0.0);
+        let (least, most) = GLOSS_POWERS;
+        next.gloss.power = (next.gloss.power * step[7].exp()).clamp(least, most);
         for (gain, part) in next.log_gains.iter_mut().zip(step.iter().skip(N_SHARED)) {
             *gain += part;
         }
@@ -406,6 +454,11 @@ impl Unknowns {
                 params.lobe_sigma,
             ),
             (self.log_indirect, INDIRECT_SIGMA),
+            (self.gloss.strength, GLOSS_SIGMA),
+            (
+                (self.gloss.power / start.gloss.power).ln(),
+                GLOSS_LOG_POWER_SIGMA,
+            ),
         ];
         let gains = self.log_gains.iter().map(|gain| (*gain, GAIN_SIGMA));
         let all = shared.into_iter().chain(gains);

@@ -5,7 +5,7 @@ use super::gain_field::GainField;
 use super::optics::Optics;
 use crate::geometry::{CameraModel, Pose, TriMesh, rasterise};
 use crate::interreflection::{IndirectLight, LitScene, PatchGrid, WhiteLevel};
-use crate::shading::{LinearImage, NearLight, linearise};
+use crate::shading::{Gloss, Highlight, LinearImage, NearLight, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics};
 use nalgebra::{Point3, Vector2, Vector3};
@@ -62,6 +62,8 @@ pub struct View {
     indirect: Arc<IndirectLight>,
     /// The white level if the brightest surfaces of this view are plaster.
     pub plausible_white: Option<WhiteLevel>,
+    /// Gloss of the surface.
+    pub gloss: Gloss,
     /// What scales the indirect light; `None` for none.
     pub white: Option<WhiteLevel>,
     linear: Arc<LinearImage>,
@@ -116,7 +118,7 @@ pub struct Look {
 pub struct Sample {
     /// What the view shows there.
     pub look: Look,
-    /// `gain · field · n·E`, with E as of [`View::arriving`]: the prediction for unit albedo.
+    /// `gain · field · (n·E + highlight)`, with E as of [`View::arriving`]: the prediction for unit albedo.
     pub unit_prediction: f64,
     /// The normal in the camera frame.
     pub normal_camera: Vector3<f64>,
@@ -170,6 +172,7 @@ impl View {
             indirect: Arc::new(IndirectLight::new(&lit, &model_depth_m, optics.rays)),
             plausible_white: lit.plausible_white(),
             white: None,
+            gloss: Gloss::default(),
             linear: Arc::new(linear),
             camera_depth_m: Arc::new(camera_depth_m),
             light_model,
@@ -234,7 +237,7 @@ impl View {
     pub fn sample(&self, point_world: &Point3<f64>, normal_world: &Vector3<f64>) -> Option<Sample> {
         let look = self.look(point_world)?;
         let normal_camera = self.camera_from_world * normal_world;
-        let irradiance = normal_camera.dot(&self.arriving(&look.point_camera, &look.pixel));
+        let irradiance = self.irradiance(&look.point_camera, &look.pixel, &normal_camera);
         let unit_prediction = look.gain * irradiance;
         (unit_prediction > 0.0).then_some(Sample {
             look,
@@ -243,7 +246,7 @@ impl View {
         })
     }
 
-    /// `gain · field · n·E`, with E as of [`Self::arriving`], at a point, whatever its pixel showed; `None` where it does not project or is not lit.
+    /// `gain · field · (n·E + highlight)`, with E as of [`Self::arriving`], at a point, whatever its pixel showed; `None` where it does not project or is not lit.
     pub fn unit_prediction(
         &self,
         point_world: &Point3<f64>,
@@ -255,7 +258,7 @@ impl View {
             return None;
         }
         let normal_camera = self.camera_from_world * normal_world;
-        let irradiance = normal_camera.dot(&self.arriving(&point_camera, &pixel));
+        let irradiance = self.irradiance(&point_camera, &pixel, &normal_camera);
         (irradiance > 0.0).then(|| self.gain * self.gain_field.at(&pixel) * irradiance)
     }
 
@@ -273,6 +276,27 @@ impl View {
         let direct = self.light.incident(point_camera);
         self.white
             .map_or(direct, |white| direct + self.indirect.at(pixel, white))
+    }
+
+    /// What gloss adds at a point (m, camera frame).
+    #[inline]
+    pub fn highlight(&self, point_camera: &Point3<f64>, normal_camera: &Vector3<f64>) -> Highlight {
+        if self.gloss.strength == 0.0 {
+            return Highlight::default();
+        }
+        let direct = self.light.incident(point_camera);
+        self.gloss.highlight(point_camera, normal_camera, &direct)
+    }
+
+    /// Prediction for unit albedo and gain.
+    fn irradiance(
+        &self,
+        point_camera: &Point3<f64>,
+        pixel: &Vector2<f64>,
+        normal_camera: &Vector3<f64>,
+    ) -> f64 {
+        let matte = normal_camera.dot(&self.arriving(point_camera, pixel));
+        matte + self.highlight(point_camera, normal_camera).value
     }
 
     /// The camera.

@@ -7,12 +7,14 @@
 
 mod calibration;
 mod flat_field;
+mod gloss;
 mod light;
 mod linear;
 mod tukey;
 
 pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
+pub use gloss::{Gloss, Highlight};
 pub use light::NearLight;
 pub use linear::{LinearImage, linearise, without_ambient};
 pub use tukey::{Tukey, median, median_absolute_deviation};

@@ -13,21 +13,21 @@ fn told(
     params: &SelfCalibrationParams,
     believe: impl Fn(&mut Calibration),
 ) -> Option<Contradiction> {
-    told_by(params, believe, |_, _| ())
+    told_by(params, believe, |_, _| ()).contradiction
 }
 
-/// The same, of images of which each was spoilt.
+/// The same, and of gloss, by images of which each was changed.
 fn told_by(
     params: &SelfCalibrationParams,
     believe: impl Fn(&mut Calibration),
-    spoil: impl Fn(usize, &mut ShadingSnapshot),
-) -> Option<Contradiction> {
+    change: impl Fn(usize, &mut ShadingSnapshot),
+) -> Told {
     let (rays, truth) = (rays(), calibration());
     let true_optics = optics(&rays, &truth);
     let poses = poses_all_round();
     let rendered = poses.iter().enumerate().map(|(k, pose)| {
         let mut snapshot = RIPPLED.snapshot(&true_optics, pose);
-        spoil(k, &mut snapshot);
+        change(k, &mut snapshot);
         snapshot
     });
     let mut believed = truth.clone();
@@ -35,7 +35,7 @@ fn told_by(
     let believed_optics = true_optics.with(&believed);
     let base = FLAT.mesh(0.0015);
     let views = views_of(&rendered.collect::<Vec<_>>(), &base, &believed_optics);
-    contradiction(
+    told_by_images(
         &base,
         &Sites::new(&base, &views, u64::MAX),
         &views,
@@ -100,11 +100,45 @@ fn images_that_no_calibration_explains_tell_nothing() {
             *counts *= (0.7 * along).exp();
         }
     });
-    assert_eq!(told, None);
+    assert_eq!(told.contradiction, None);
+}
+
+#[test]
+fn gloss_is_told_from_gamma() {
+    let (rays, truth) = (rays(), calibration());
+    let optics = optics(&rays, &truth);
+    let params = SelfCalibrationParams::default();
+    for strength in [0.0, 0.15, 0.5] {
+        let gloss = Gloss {
+            strength,
+            power: 20.0,
+        };
+        let told = told_by(
+            &params,
+            |_| (),
+            |_, snapshot| RIPPLED.polish(snapshot, gloss, &optics),
+        );
+        assert_eq!(told.contradiction, None, "{strength}");
+        let off = told.gloss.strength - strength;
+        assert!(
+            off.abs() <= 0.4 * strength,
+            "{:?} of {strength}",
+            told.gloss
+        );
+    }
 }
 
 #[test]
 fn derivatives_match_differences() {
+    for strength in [0.0, 0.3] {
+        derivatives_match_differences_with(Gloss {
+            strength,
+            power: 20.0,
+        });
+    }
+}
+
+fn derivatives_match_differences_with(gloss: Gloss) {
     let light = Light {
         position_m: [0.05, 0.01, 0.0],
         kind: LightKind::Emitter,
@@ -113,6 +147,7 @@ fn derivatives_match_differences() {
         inv_gamma: 1.2,
         light: calibration().light.near_light(&light),
         log_indirect: 0.2,
+        gloss,
         log_gains: vec![0.1],
     };
     let normal = Vector3::new(0.3, -0.2, -0.9);
@@ -133,6 +168,14 @@ fn derivatives_match_differences() {
     };
     const STEP: f64 = 1e-6;
     for k in 0..=N_SHARED {
+        // Gloss is taken to stay as the light moves, and there is no less than none.
+        let is_left_out = match gloss.strength > 0.0 {
+            true => (1..4).contains(&k),
+            false => k == 6,
+        };
+        if is_left_out {
+            continue;
+        }
         let mut step = DVector::zeros(N_SHARED + 1);
         step[k] = STEP;
         let difference =
