@@ -100,7 +100,7 @@ impl Rounds<'_> {
             views,
             albedo,
         } = state;
-        let observations = Observations::new(sites, views);
+        let observations = Observations::new(&surface.mesh, sites, views);
         let problem = Problem {
             observations: &observations,
             labels: &albedo.labels,

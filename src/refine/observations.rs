@@ -19,14 +19,13 @@ pub struct Observation {
     /// Light that arrives, towards the light, in the same unit: its product with the unit normal is the prediction for unit
     /// albedo. World frame.
     light: [f32; 3],
-    /// What gloss adds at the normal of the start of the round, and the light does not say: its highlight is linear about that.
-    highlight: f32,
     /// Pixels that a square metre covers, by the unit normal, world frame.
     pixels_per_m2: [f32; 3],
 }
 
 impl Observation {
-    /// Derivative of [`Self::unit_prediction`] by the unit normal: the light that arrives, and the slope of the highlight.
+    /// Light that arrives, as a vector whose product with the unit normal is the prediction for unit albedo, in sigmas. Gloss is in it as
+    /// it is about the normal of the start of the round.
     #[inline]
     pub fn light(&self) -> Vector3<f64> {
         Vector3::from(self.light.map(f64::from))
@@ -35,7 +34,7 @@ impl Observation {
     /// Prediction for unit albedo, in sigmas; `None` where the surface faces away from the light.
     #[inline]
     pub fn unit_prediction(&self, normal: &Vector3<f64>) -> Option<f64> {
-        let unit = self.light().dot(normal) + f64::from(self.highlight);
+        let unit = self.light().dot(normal);
         (unit > 0.0).then_some(unit)
     }
 
@@ -67,26 +66,33 @@ const TILE: usize = 2048;
 
 impl Observations {
     /// Samples every view at the sites that it sees.
-    pub fn new(sites: &Sites, views: &[View]) -> Observations {
-        Self::every(1, sites, views)
+    pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
+        Self::every(1, mesh, sites, views)
     }
 
     /// As [`Self::new`], for what [`Self::residual_scale`] looks at alone.
-    pub fn for_scale(sites: &Sites, views: &[View]) -> Observations {
-        Self::every(SCALE_STRIDE, sites, views)
+    pub fn for_scale(mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
+        Self::every(SCALE_STRIDE, mesh, sites, views)
     }
 
-    fn every(stride: usize, sites: &Sites, views: &[View]) -> Observations {
+    fn every(stride: usize, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
         let n_faces = sites.points.len();
+        let is_glossy = views.iter().any(View::is_glossy);
+        // Gloss alone needs it; a face without a normal is seen by nobody.
+        let normal_of = |face: usize| match is_glossy {
+            true => unit_normal(mesh, face).map_or_else(Vector3::zeros, |(normal, _)| normal),
+            false => Vector3::zeros(),
+        };
         let of_face = |face: usize, entries: &mut Vec<Observation>| {
             let mut set = match face % stride {
                 0 => sites.visible[face],
                 _ => 0,
             };
             let before = entries.len();
+            let normal = normal_of(face);
             while set != 0 {
                 let view = &views[set.trailing_zeros() as usize];
-                entries.extend(view.observe(&sites.points[face], &sites.normals[face]));
+                entries.extend(view.observe(&sites.points[face], &normal));
                 set &= set - 1;
             }
             (entries.len() - before) as u32
@@ -108,9 +114,10 @@ impl Observations {
             starts.push(end);
         }
         let mut entries = Vec::with_capacity(end as usize);
-        tiles
-            .iter()
-            .for_each(|(_, tile)| entries.extend_from_slice(tile));
+        // Each tile is freed as soon as it is taken over.
+        for (_, tile) in tiles {
+            entries.extend(tile);
+        }
         Observations { starts, entries }
     }
 
@@ -147,14 +154,14 @@ impl View {
         let world_from_camera = self.camera_from_world.rotation.inverse();
         let normal = self.camera_from_world * normal_world;
         let highlight = self.highlight(&seen.point_camera, &normal);
-        let arriving = self.arriving(&seen.point_camera, &seen.pixel) + highlight.by_normal;
-        let light = world_from_camera * arriving;
-        let beside = highlight.value - highlight.by_normal.dot(&normal);
+        let arriving = self.arriving(&seen.point_camera, &seen.pixel);
+        // The slope lies across the normal: value and slope are right there.
+        let highlight = normal * highlight.value + highlight.by_normal;
+        let light = world_from_camera * (arriving + highlight);
         let narrow = |v: Vector3<f64>| [v.x, v.y, v.z].map(|x| x as f32);
         Some(Observation {
             observed: (seen.observed * inv_sigma) as f32,
             light: narrow(light * (seen.gain * inv_sigma)),
-            highlight: (beside * seen.gain * inv_sigma) as f32,
             pixels_per_m2: narrow(world_from_camera * self.pixels_per_m2(&seen.point_camera)),
         })
     }

@@ -54,7 +54,7 @@ pub fn final_loss(scale: f64) -> Tukey {
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
     pub fn first_albedo(&self, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Option<Albedo> {
-        let observations = Observations::new(sites, views);
+        let observations = Observations::new(mesh, sites, views);
         let mut albedo = self.estimate_albedo(mesh, &observations, None)?;
         for _ in 0..3 {
             let loss = final_loss(observations.residual_scale(mesh, &albedo.by_face));
@@ -120,11 +120,11 @@ impl Rounds<'_> {
             scale: observations.residual_scale(mesh, &albedo.by_face),
             cutoff,
         };
-        let loss = loss_of(&Observations::for_scale(&sites, views), albedo);
+        let loss = loss_of(&Observations::for_scale(mesh, &sites, views), albedo);
         self.align(mesh, &sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let observations = Observations::new(&sites, views);
+        let observations = Observations::new(mesh, &sites, views);
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
         if let Some(next) = self.estimate_albedo(mesh, &observations, current) {
@@ -164,7 +164,7 @@ impl Rounds<'_> {
         let (faces, stands_for) = sites_to_align_by(sites.faces_of(0));
         let centre = centre_of(mesh);
         for cutoff in CUTOFFS {
-            let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
+            let observations = Observations::for_scale(mesh, &sites, std::slice::from_ref(view));
             let scale = observations.residual_scale(mesh, albedo);
             let loss = Tukey { scale, cutoff };
             let target = AlignmentTarget {

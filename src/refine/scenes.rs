@@ -266,7 +266,7 @@ pub fn solved_from_plane(
         ..RefineParams::default()
     };
     let problem = Problem {
-        observations: &Observations::new(&sites, &views),
+        observations: &Observations::new(&surface.mesh, &sites, &views),
         labels: &vec![0; surface.mesh.faces.len()],
         loss: final_loss(3.0),
         priors: prior_weights(&params),

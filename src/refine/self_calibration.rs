@@ -69,8 +69,9 @@ const LIGHT_DEPTH_SIGMA_M: f64 = 0.001;
 const INDIRECT_SIGMA: f64 = 0.3;
 /// Standard deviation of a view's gain as a share of it: as in alignment.
 const GAIN_SIGMA: f64 = 0.015;
-/// Standard deviation of the strength of gloss, in albedos.
+/// Standard deviation of the strength of gloss, in albedos, and where there is to be none.
 const GLOSS_SIGMA: f64 = 0.3;
+const MATTE_SIGMA: f64 = 1e-6;
 /// Standard deviation of the logarithm of its exponent, and the exponents that are believed.
 const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
 const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
@@ -174,10 +175,20 @@ pub fn told_by_images(
         gloss: Gloss::default(),
         log_gains: vec![0.0; views.len()],
     };
-    let Some((found, sigmas)) = fit(&mut patches, &start, params) else {
+    let mut fitted = |gloss_sigma: f64| {
+        let (found, sigmas) = fit(&mut patches, &start, params, gloss_sigma)?;
+        let misfit = residual_scale(&patches, &found);
+        Some((found, sigmas, misfit))
+    };
+    let glossy = fitted(GLOSS_SIGMA).filter(|(found, sigmas, misfit)| {
+        let strength = found.gloss.strength;
+        *misfit < MAX_MISFIT && strength > MIN_GLOSS && strength > MIN_SIGMAS * sigmas[6]
+    });
+    let is_glossy = glossy.is_some();
+    // Gloss that is not there would make gamma less sure.
+    let Some((found, sigmas, misfit)) = glossy.or_else(|| fitted(MATTE_SIGMA)) else {
         return Told::default();
     };
-    let misfit = residual_scale(&patches, &found);
     let gamma_change = (found.inv_gamma / start.inv_gamma).ln();
     let moved = found.light.position - start.light.position;
     let lobe_change = found.light.lobe_power - start.light.lobe_power;
@@ -204,7 +215,6 @@ pub fn told_by_images(
         is_contradicted,
         "response and light by the images"
     );
-    let is_glossy = is_explained && exceeds(found.gloss.strength, MIN_GLOSS, sigmas[6]);
     let is_contradicted = is_contradicted && calibration.validate().is_ok();
     Told {
         contradiction: is_contradicted.then(|| Contradiction {
@@ -212,10 +222,9 @@ pub fn told_by_images(
             light_moved_m: moved.xy().norm(),
             calibration,
         }),
-        gloss: if is_glossy {
-            found.gloss
-        } else {
-            Gloss::default()
+        gloss: match is_glossy {
+            true => found.gloss,
+            false => Gloss::default(),
         },
     }
 }
@@ -439,7 +448,12 @@ impl Unknowns {
     }
 
     /// Distance of every unknown from where it is believed to be, and its inverse variance.
-    fn prior(&self, start: &Unknowns, params: &SelfCalibrationParams) -> Vec<(f64, f64)> {
+    fn prior(
+        &self,
+        start: &Unknowns,
+        params: &SelfCalibrationParams,
+        gloss_sigma: f64,
+    ) -> Vec<(f64, f64)> {
         let moved = self.light.position - start.light.position;
         let shared = [
             (
@@ -454,7 +468,7 @@ impl Unknowns {
                 params.lobe_sigma,
             ),
             (self.log_indirect, INDIRECT_SIGMA),
-            (self.gloss.strength, GLOSS_SIGMA),
+            (self.gloss.strength, gloss_sigma),
             (
                 (self.gloss.power / start.gloss.power).ln(),
                 GLOSS_LOG_POWER_SIGMA,
@@ -530,13 +544,15 @@ impl Normal {
     }
 }
 
-/// Gauss-Newton from `start`, which is also the prior; the shared unknowns and their standard deviations.
+/// Gauss-Newton from `start`, which is also the prior, that of gloss as stated; the shared unknowns and their standard deviations.
 fn fit(
     patches: &mut [LitPatch],
     start: &Unknowns,
     params: &SelfCalibrationParams,
+    gloss_sigma: f64,
 ) -> Option<(Unknowns, Vec<f64>)> {
     for patch in patches.iter_mut() {
+        patch.own = Vector3::zeros();
         let rows = patch
             .readings
             .iter()
@@ -568,7 +584,7 @@ fn fit(
             normal.jtj += &tile.jtj;
             normal.jtr += &tile.jtr;
         }
-        let prior = unknowns.prior(start, params);
+        let prior = unknowns.prior(start, params, gloss_sigma);
         for (k, (distance, weight)) in prior.into_iter().enumerate() {
             normal.jtj[(k, k)] += weight;
             normal.jtr[k] += weight * distance;

@@ -3,15 +3,13 @@
 use super::energy::unit_normal;
 use super::view::View;
 use crate::geometry::TriMesh;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 /// The sites of a mesh and the views that see them.
 pub struct Sites {
     /// Centroid of each face.
     pub points: Vec<Point3<f64>>,
-    /// Unit normal of each face; zero where it has no area.
-    pub normals: Vec<Vector3<f64>>,
     /// Bit k of a face is set where view k sees it.
     pub visible: Vec<ViewSet>,
 }
@@ -33,32 +31,27 @@ impl Sites {
         let points: Vec<Point3<f64>> = (0..mesh.faces.len())
             .map(|face| mesh.centroid(face))
             .collect();
-        let normal = |face| unit_normal(mesh, face).map_or_else(Vector3::zeros, |(n, _)| n);
-        let normals: Vec<Vector3<f64>> = (0..mesh.faces.len()).map(normal).collect();
         let visible = points
             .par_iter()
-            .zip(&normals)
-            .map(|(point, normal)| {
-                // The view faces no normal of zero.
+            .enumerate()
+            .map(|(face, point)| {
+                let Some((normal, _)) = unit_normal(mesh, face) else {
+                    return 0;
+                };
                 let seen = views
                     .iter()
                     .enumerate()
-                    .filter(|(k, view)| set >> k & 1 == 1 && view.sees(point, normal));
+                    .filter(|(k, view)| set >> k & 1 == 1 && view.sees(point, &normal));
                 seen.fold(0, |mask, (k, _)| mask | 1 << k)
             })
             .collect();
-        Sites {
-            points,
-            normals,
-            visible,
-        }
+        Sites { points, visible }
     }
 
     /// The same sites, seen by a set of views alone.
     pub fn only(&self, set: ViewSet) -> Sites {
         Sites {
             points: self.points.clone(),
-            normals: self.normals.clone(),
             visible: self.visible.iter().map(|visible| visible & set).collect(),
         }
     }

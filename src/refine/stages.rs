@@ -45,7 +45,7 @@ impl Stages {
         rounds.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();
         let sites = Sites::new(&state.surface.mesh, &state.views, learning);
-        let observations = Observations::new(&sites, &state.views);
+        let observations = Observations::new(&state.surface.mesh, &sites, &state.views);
         let scale = observations.residual_scale(&state.surface.mesh, &state.albedo.by_face);
         Ok(Stages {
             prepared,
@@ -74,7 +74,8 @@ impl Stages {
 
     /// Samples every image at every facet that it sees; returns the robust scale of the residuals, in sigmas.
     pub fn observe(&self) -> f64 {
-        let observations = Observations::new(&self.sites, &self.state.views);
+        let observations =
+            Observations::new(&self.state.surface.mesh, &self.sites, &self.state.views);
         observations.residual_scale(&self.state.surface.mesh, &self.state.albedo.by_face)
     }
 

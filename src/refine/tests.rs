@@ -56,7 +56,7 @@ fn gradient_matches_central_differences_of_the_energy() {
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let problem = Problem {
-        observations: &Observations::new(&sites, &views),
+        observations: &Observations::new(&surface.mesh, &sites, &views),
         labels: &(0..surface.mesh.faces.len())
             .map(|face| (face % 2) as u8)
             .collect::<Vec<_>>(),

@@ -278,10 +278,15 @@ impl View {
             .map_or(direct, |white| direct + self.indirect.at(pixel, white))
     }
 
+    /// Whether gloss adds anything.
+    pub fn is_glossy(&self) -> bool {
+        self.gloss.strength > 0.0
+    }
+
     /// What gloss adds at a point (m, camera frame).
     #[inline]
     pub fn highlight(&self, point_camera: &Point3<f64>, normal_camera: &Vector3<f64>) -> Highlight {
-        if self.gloss.strength == 0.0 {
+        if !self.is_glossy() {
             return Highlight::default();
         }
         let direct = self.light.incident(point_camera);
