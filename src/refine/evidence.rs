@@ -12,7 +12,7 @@
 
 use super::energy::{Problem, Surface, unit_normal};
 use super::observations::Observations;
-use super::rounds::{Rounds, State, final_loss, prior_weights};
+use super::rounds::{Rounds, State, final_loss};
 use super::sites::{Sites, ViewSet};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
@@ -105,14 +105,15 @@ impl Rounds<'_> {
             observations: &observations,
             labels: &albedo.labels,
             loss: final_loss(observations.residual_scale(&surface.mesh, &albedo.by_face)),
-            priors: prior_weights(self.params),
-            edges: self.edges,
-            patches: self.patches,
+            priors: self.prior_weights(),
+            edges: &self.level.edges,
+            patches: &self.level.patches,
             jacobian: self.params.jacobian,
         };
-        let with_images = problem.linearise(surface, &albedo.groups, self.pattern.couplings());
-        let without = problem.prior_matrix(&surface.total_m, self.pattern.couplings());
-        let variances = |matrix| self.pattern.inverse_diagonal(matrix);
+        let with_images =
+            problem.linearise(surface, &albedo.groups, self.level.pattern.couplings());
+        let without = problem.prior_matrix(&surface.total_m, self.level.pattern.couplings());
+        let variances = |matrix| self.level.pattern.inverse_diagonal(matrix);
         let (posterior, prior) = rayon::join(|| variances(&with_images), || variances(&without));
         let (posterior, prior) = (posterior?, prior?);
         let sigma = |variance: &f64| (REDUNDANCY * variance).sqrt();

@@ -24,6 +24,7 @@ mod gain_field;
 #[cfg(test)]
 mod guard_tests;
 mod held_out;
+mod level;
 mod max_flow;
 mod mixture;
 mod numeric;
@@ -69,7 +70,7 @@ use crate::geometry::TriMesh;
 use crate::shading::Gloss;
 use depth_camera::Image;
 use error::MAX_BELIEVABLE_RMSE;
-use held_out::{every, judge, views_to_hold_out};
+use held_out::{every, views_to_hold_out};
 use nalgebra::Point3;
 use preparation::{Preparation, first_views};
 use rounds::State;
@@ -148,7 +149,6 @@ pub fn refine(
     mut progress: impl FnMut(&Iteration) -> bool,
 ) -> Result<Refinement, RefineError> {
     let prepared = Preparation::new(subject, params)?;
-    let rounds = prepared.rounds();
     let n_views = subject.snapshots.len();
     let (all, held_out) = (first_views(n_views), views_to_hold_out(n_views));
     let (base, errors_before) = prepared.base(subject, all & !held_out)?;
@@ -159,8 +159,8 @@ pub fn refine(
         progress(&iteration)
     };
     let first = 0..params.n_rounds;
-    let mut status = rounds.run(first, all & !held_out, &mut state, &mut accepted);
-    let judgement = Judgement::of(&judge(&rounds, &base, &mut state, held_out));
+    let mut status = prepared.run(first, all & !held_out, &mut state, &mut accepted);
+    let judgement = Judgement::of(&prepared.judge(base, &mut state, held_out));
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));
     }
@@ -170,7 +170,7 @@ pub fn refine(
     }
     if !status.is_final() {
         let last = params.n_rounds..params.n_rounds + 1;
-        status = rounds.run(last, all, &mut state, &mut accepted);
+        status = prepared.run(last, all, &mut state, &mut accepted);
     }
     let sites = Sites::new(&state.surface.mesh, &state.views, all);
     let errors = sites.view_errors(&state.surface.mesh, &state.views, &state.albedo.by_face);
@@ -179,7 +179,7 @@ pub fn refine(
     if rmse > MAX_BELIEVABLE_RMSE {
         return Err(RefineError::Contradicted { rmse });
     }
-    let evidence = rounds.evidence(&state, &sites);
+    let evidence = prepared.finest().evidence(&state, &sites);
     let State {
         surface, albedo, ..
     } = &state;

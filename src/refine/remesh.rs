@@ -16,6 +16,7 @@ mod relax;
 #[cfg(test)]
 mod scenes;
 mod split;
+mod subdivide;
 
 use crate::geometry::{TriMesh, TriangleBvh};
 use collapse::{CollapseLimits, collapse_short_edges};
@@ -24,6 +25,7 @@ use flip::equalise_valences;
 use relax::relax_onto;
 use serde::{Deserialize, Serialize};
 use split::split_long_edges;
+pub use subdivide::{Subdivided, subdivide};
 
 /// Edges longer than this many edge lengths are split. With [`MIN_LENGTH`] from the article: halves of a split edge are
 /// then closer to the wanted length than the edge was, and so is a collapsed pair.

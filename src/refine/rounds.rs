@@ -3,32 +3,23 @@
 use super::albedo::{Albedo, Groups};
 use super::alignment::{AlignmentTarget, align_view};
 use super::energy::{PriorWeights, Problem, Surface, unit_normal};
+use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
-use super::patches::Patch;
 use super::sites::{Sites, ViewSet};
-use super::solver::{Iteration, Pattern, RefineStatus, SolverParams, minimise};
+use super::solver::{Iteration, RefineStatus, SolverParams, minimise};
 use super::view::View;
-use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::geometry::TriMesh;
 use crate::shading::Tukey;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-use std::ops::Range;
 
 /// What stays the same over all rounds.
 pub struct Rounds<'a> {
     /// Parameters.
     pub params: &'a RefineParams,
-    /// Sites of the base surface, on which the first round begins, and all views that see them.
-    pub base_sites: &'a Sites,
-    /// Edges of the mesh.
-    pub edges: &'a EdgeAdjacency,
-    /// Patches that depth holds.
-    pub patches: &'a [Patch],
-    /// Faces across each face's sides.
-    pub neighbours: &'a [[u32; 3]],
-    /// Pattern of the normal matrix.
-    pub pattern: &'a Pattern,
+    /// The mesh.
+    pub level: &'a Level,
 }
 
 /// What the rounds refine.
@@ -42,7 +33,8 @@ pub struct State {
     pub albedo: Albedo,
 }
 
-/// Tukey cut-offs of the rounds: true relief is a large residual at first.
+/// Tukey cut-offs of the first round, those after it, and the last: true relief is a large residual at first, and what a finer mesh
+/// tells of it is again.
 const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
 
 /// The loss at the end, for residuals of a given scale in sigmas.
@@ -75,32 +67,16 @@ impl Rounds<'_> {
             mode: self.params.albedo.mode,
             at_most: self.params.max_albedos,
         };
-        Albedo::estimate(mesh, self.neighbours, observations, groups, current)
+        Albedo::estimate(mesh, &self.level.neighbours, observations, groups, current)
     }
 
-    /// Runs rounds with a set of views; the others are left as they are. `accepted` is told of each step and returns false
-    /// to cancel.
-    pub fn run(
-        &self,
-        rounds: Range<usize>,
-        learning: ViewSet,
-        state: &mut State,
-        accepted: &mut impl FnMut(Iteration) -> bool,
-    ) -> RefineStatus {
-        let mut status = RefineStatus::IterationLimit;
-        for round in rounds {
-            status = self.round(round, learning, state, accepted);
-            if status.is_final() {
-                break;
-            }
-        }
-        status
-    }
-
-    fn round(
+    /// Runs a round with a set of views, on its surface's sites that they see; the others are left as they are. `accepted` is told of
+    /// each step and returns false to cancel.
+    pub fn round(
         &self,
         round: usize,
         learning: ViewSet,
+        sites: &Sites,
         state: &mut State,
         accepted: &mut impl FnMut(Iteration) -> bool,
     ) -> RefineStatus {
@@ -110,21 +86,22 @@ impl Rounds<'_> {
             albedo,
         } = state;
         surface.directions = surface.mesh.vertex_normals();
-        let sites = match round {
-            0 => self.base_sites.only(learning),
-            _ => Sites::new(&surface.mesh, views, learning),
+        let [first, middle, last] = CUTOFFS;
+        let cutoff = match round {
+            0 => first,
+            round if round < self.params.n_rounds => middle,
+            _ => last,
         };
-        let cutoff = CUTOFFS[round.min(CUTOFFS.len() - 1)];
         let mesh = &surface.mesh;
         let loss_of = |observations: &Observations, albedo: &Albedo| Tukey {
             scale: observations.residual_scale(mesh, &albedo.by_face),
             cutoff,
         };
-        let loss = loss_of(&Observations::for_scale(mesh, &sites, views), albedo);
-        self.align(mesh, &sites, views, albedo, loss);
+        let loss = loss_of(&Observations::for_scale(mesh, sites, views), albedo);
+        self.align(mesh, sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let observations = Observations::new(mesh, &sites, views);
+        let observations = Observations::new(mesh, sites, views);
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
         if let Some(next) = self.estimate_albedo(mesh, &observations, current) {
@@ -134,27 +111,32 @@ impl Rounds<'_> {
             observations: &observations,
             labels: &albedo.labels,
             loss,
-            priors: prior_weights(self.params),
-            edges: self.edges,
-            patches: self.patches,
+            priors: self.prior_weights(),
+            edges: &self.level.edges,
+            patches: &self.level.patches,
             jacobian: self.params.jacobian,
         };
         let solver = SolverParams {
             max_steps: self.params.max_steps,
             min_decrease: 1e-4,
-            max_step_m: 0.4 * self.params.edge_length_m,
+            max_step_m: 0.4 * self.level.edge_length_m,
         };
         let mut groups = albedo.groups.clone();
         let status = minimise(
             surface,
             &mut groups,
             &problem,
-            self.pattern,
+            &self.level.pattern,
             &solver,
             |iteration| accepted(Iteration { round, ..iteration }),
         );
         albedo.repaint(groups);
         status
+    }
+
+    /// The priors of its mesh.
+    pub fn prior_weights(&self) -> PriorWeights {
+        prior_weights(self.params, self.level.edge_length_m)
     }
 
     /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held.
@@ -262,13 +244,13 @@ fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
 
 /// The priors in the solver's units, for a mesh of equilateral faces: a vertex has the area √3/2 h², cotangent weights are
 /// 1/√3.
-pub fn prior_weights(params: &RefineParams) -> PriorWeights {
+pub fn prior_weights(params: &RefineParams, edge_length_m: f64) -> PriorWeights {
     /// Distance over which the detail of the fused surface goes together, metres: a pixel's footprint or two.
     const DETAIL_M: f64 = 0.003;
     /// Standard deviation of a vertex that nothing else holds, metres.
     const REST_SIGMA_M: f64 = 0.001;
     let inv_detail2 = 1.0 / (DETAIL_M * DETAIL_M);
-    let area = 0.866 * params.edge_length_m * params.edge_length_m;
+    let area = 0.866 * edge_length_m * edge_length_m;
     PriorWeights {
         anchor: 1.0 / (params.patch_sigma_m * params.patch_sigma_m),
         rest: area * inv_detail2 / (REST_SIGMA_M * REST_SIGMA_M),

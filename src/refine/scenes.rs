@@ -261,15 +261,12 @@ pub fn solved_from_plane(
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
-    let params = RefineParams {
-        edge_length_m: spacing_m,
-        ..RefineParams::default()
-    };
+    let params = RefineParams::default();
     let problem = Problem {
         observations: &Observations::new(&surface.mesh, &sites, &views),
         labels: &vec![0; surface.mesh.faces.len()],
         loss: final_loss(3.0),
-        priors: prior_weights(&params),
+        priors: prior_weights(&params, spacing_m),
         patches: &patches,
         edges: &edges,
         jacobian,

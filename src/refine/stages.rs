@@ -8,7 +8,7 @@ use super::energy::{FaceBlock, NormalMatrix, PriorWeights, Problem};
 use super::observations::Observations;
 use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
-use super::rounds::{State, final_loss, prior_weights};
+use super::rounds::{State, final_loss};
 use super::sites::{Sites, ViewSet};
 use super::solver::Step;
 use super::view::View;
@@ -41,8 +41,7 @@ impl Stages {
         let prepared = Preparation::new(subject, params)?;
         let learning = first_views(subject.snapshots.len());
         let (mut state, _) = prepared.base(subject, learning)?;
-        let rounds = prepared.rounds();
-        rounds.run(0..n_rounds, learning, &mut state, &mut |_| true);
+        prepared.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();
         let sites = Sites::new(&state.surface.mesh, &state.views, learning);
         let observations = Observations::new(&state.surface.mesh, &sites, &state.views);
@@ -82,7 +81,7 @@ impl Stages {
     /// Estimates groups and albedos anew; returns the groups' albedos.
     pub fn estimate_albedo(&self) -> Option<Vec<f64>> {
         let current = Some((&self.state.albedo, self.loss));
-        let rounds = self.prepared.rounds();
+        let rounds = self.prepared.finest();
         let albedo: Option<Albedo> =
             rounds.estimate_albedo(&self.state.surface.mesh, &self.observations, current);
         albedo.map(|albedo| albedo.groups)
@@ -96,17 +95,17 @@ impl Stages {
 
     /// Residuals, their derivatives, and the normal equations.
     pub fn linearise(&self) -> NormalMatrix {
-        let rounds = self.prepared.rounds();
+        let pattern = &self.prepared.finest().level.pattern;
         self.problem().linearise(
             &self.state.surface,
             &self.state.albedo.groups,
-            rounds.pattern.couplings(),
+            pattern.couplings(),
         )
     }
 
     /// One step, the factorisation among it; `None` where the matrix is not positive definite.
     pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
-        self.prepared.rounds().pattern.solve(matrix, damping)
+        self.prepared.finest().level.pattern.solve(matrix, damping)
     }
 
     /// The step's problem as sums of squares.
@@ -158,14 +157,14 @@ impl Stages {
     }
 
     fn problem(&self) -> Problem<'_> {
-        let rounds = self.prepared.rounds();
+        let rounds = self.prepared.finest();
         Problem {
             observations: &self.observations,
             labels: &self.state.albedo.labels,
             loss: self.loss,
-            priors: prior_weights(rounds.params),
-            patches: rounds.patches,
-            edges: rounds.edges,
+            priors: rounds.prior_weights(),
+            patches: &rounds.level.patches,
+            edges: &rounds.level.edges,
             jacobian: rounds.params.jacobian,
         }
     }

@@ -1,0 +1,131 @@
+//! The object's mesh at one edge length, with what the rounds over it need.
+//!
+//! Rounds begin on a coarse mesh: what the fused surface gets wrong by millimetres is wider than its facets, and a quarter of the
+//! sites tell it. The next mesh halves all edges and takes over how far the coarser one was displaced.
+
+use super::albedo::{Albedo, face_neighbours};
+use super::couplings::Couplings;
+use super::energy::Surface;
+use super::error::RefineError;
+use super::params::RefineParams;
+use super::patches::{self, Patch};
+use super::remesh::{RemeshParams, Subdivided, remesh, subdivide};
+use super::rounds::State;
+use super::solver::Pattern;
+use crate::geometry::{EdgeAdjacency, TriMesh, TriangleBvh};
+
+/// A mesh of nearly equal edges, not displaced.
+pub struct Level {
+    /// The mesh.
+    pub mesh: TriMesh,
+    /// Length of its edges, metres.
+    pub edge_length_m: f64,
+    /// Its edges.
+    pub edges: EdgeAdjacency,
+    /// Patches that depth holds.
+    pub patches: Vec<Patch>,
+    /// Faces across each face's sides.
+    pub neighbours: Vec<[u32; 3]>,
+    /// Pattern of the normal matrix.
+    pub pattern: Pattern,
+    /// As in [`Subdivided`]; empty for the coarsest.
+    parents: Vec<[u32; 2]>,
+}
+
+/// Facets of the coarsest level have no longer edges, metres, unless the finest has: about two pixels.
+const COARSEST_EDGE_M: f64 = 0.003;
+
+/// The levels of an object, the coarsest first and each of half the edge length of the one before; the last is the one that
+/// is asked for. No more than there are rounds before the last.
+///
+/// # Errors
+/// Where nothing is left of the surface, and if memory does not suffice.
+pub fn levels(object: &TriMesh, params: &RefineParams) -> Result<Vec<Level>, RefineError> {
+    let mut edge_length_m = params.edge_length_m;
+    let mut n_finer = 0;
+    while 2.0 * edge_length_m <= COARSEST_EDGE_M && n_finer + 1 < params.n_rounds {
+        edge_length_m *= 2.0;
+        n_finer += 1;
+    }
+    let mesh = remesh(object, &RemeshParams::new(edge_length_m));
+    if mesh.faces.is_empty() {
+        return Err(RefineError::NoSurface);
+    }
+    let mut levels = vec![Level::new(mesh, edge_length_m, Vec::new(), params)?];
+    let surface = TriangleBvh::new(object);
+    for _ in 0..n_finer {
+        levels.extend(
+            levels
+                .last()
+                .map(|level| level.finer(&surface, params))
+                .transpose()?,
+        );
+    }
+    Ok(levels)
+}
+
+impl Level {
+    fn new(
+        mesh: TriMesh,
+        edge_length_m: f64,
+        parents: Vec<[u32; 2]>,
+        params: &RefineParams,
+    ) -> Result<Level, RefineError> {
+        let edges = EdgeAdjacency::new(&mesh);
+        let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
+        let couplings = Couplings::new(&mesh, &edges, &patches);
+        let neighbours = face_neighbours(&couplings.of_faces, couplings.pairs.len());
+        let pattern = Pattern::new(mesh.vertices.len(), couplings);
+        Ok(Level {
+            pattern: pattern.ok_or(RefineError::OutOfMemory)?,
+            mesh,
+            edge_length_m,
+            edges,
+            patches,
+            neighbours,
+            parents,
+        })
+    }
+
+    fn finer(&self, surface: &TriangleBvh, params: &RefineParams) -> Result<Level, RefineError> {
+        let couplings = self.pattern.couplings();
+        let (sides, n_edges) = (&couplings.of_faces, couplings.pairs.len());
+        let Subdivided { mesh, parents } = subdivide(&self.mesh, sides, n_edges, surface);
+        Level::new(mesh, 0.5 * self.edge_length_m, parents, params)
+    }
+
+    /// What a state of the next coarser level is on this one.
+    pub fn prolonged(&self, coarser: &Level, state: &State) -> State {
+        let State {
+            surface,
+            views,
+            albedo,
+        } = state;
+        let places = coarser.mesh.vertices.iter().zip(&surface.mesh.vertices);
+        let moved: Vec<_> = places.map(|(from, to)| to - from).collect();
+        let mut mesh = self.mesh.clone();
+        let parents = || self.parents.iter().map(|ends| ends.map(|end| end as usize));
+        for (vertex, [p, q]) in mesh.vertices.iter_mut().zip(parents()) {
+            *vertex += 0.5 * (moved[p] + moved[q]);
+        }
+        let total = |[p, q]: [usize; 2]| 0.5 * (surface.total_m[p] + surface.total_m[q]);
+        State {
+            surface: Surface {
+                total_m: parents().map(total).collect(),
+                directions: mesh.vertex_normals(),
+                mesh,
+            },
+            views: views.clone(),
+            albedo: Albedo {
+                by_face: of_children(&albedo.by_face),
+                labels: of_children(&albedo.labels),
+                ..albedo.clone()
+            },
+        }
+    }
+}
+
+/// What holds of each face, for the four that it becomes.
+fn of_children<T: Copy>(of_faces: &[T]) -> Vec<T> {
+    of_faces.iter().flat_map(|&value| [value; 4]).collect()
+}
