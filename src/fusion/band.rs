@@ -2,11 +2,11 @@
 
 use super::block::{BLOCK_SIDE, BlockCoord};
 use super::icp::{Rotation, rows};
-use super::lanes::{LANES, Lane};
 use super::noise::DepthNoise;
 use super::pyramid::FramePyramid;
 use super::volume::{Refusal, TsdfVolume};
 use crate::geometry::Pose;
+use crate::geometry::lanes::{LANES, Lane};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rays are looked at on a grid of so many pixels, the coarsest that leaves them close enough.
@@ -256,10 +256,10 @@ impl WithSimd for Sample<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::arch_levels;
     use crate::fusion::preprocess::build_levels;
     use crate::geometry::camera::tests::distorted_camera;
     use crate::geometry::increment;
+    use crate::geometry::lanes::arch_levels;
     use depth_camera::Sensor;
     use nalgebra::{Point3, Vector6};
 

@@ -172,7 +172,7 @@ mod tests {
         let depth = |pixel: usize| if pixel % WIDTH < 50 { 0.5 } else { 0.0 };
         let pixels = (0..10 * WIDTH).map(|pixel| observation(step, depth(pixel), 0.5, 0.5));
         let pixels: Vec<Observation> = pixels.collect();
-        for arch in crate::fusion::arch_levels() {
+        for arch in crate::geometry::lanes::arch_levels() {
             let observations = Observations::of_pixels(arch, &pixels, WIDTH, step, 0.02);
             let sight = |first_column: usize, near_m: f32| {
                 observations.band_ends().sight(&Extent {

@@ -2,7 +2,6 @@
 
 use super::band::Band;
 use super::integrate::integrate;
-use super::lens::Lens;
 use super::noise::DepthNoise;
 use super::observe::Observations;
 use super::preprocess::{DepthRange, build_levels, clip_depth};
@@ -11,6 +10,7 @@ use super::raycast::{ModelMap, raycast};
 use super::steps::{FusionStep, OnStep};
 use super::view::View;
 use super::volume::TsdfVolume;
+use crate::geometry::Lens;
 use crate::geometry::{CameraModel, Pose};
 use depth_camera::Image;
 use pulp::Arch;

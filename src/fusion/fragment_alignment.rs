@@ -3,11 +3,11 @@
 use super::eye::Eye;
 use super::fragments::{FRAGMENT_LEVEL, Fragment};
 use super::icp::{is_small, rows, turn};
-use super::lanes::LANES;
-use super::lens::Lens;
 use super::normal_equations::{NormalEquations, Rows, TileSums, huber_weight};
 use super::raycast::ModelMap;
+use crate::geometry::Lens;
 use crate::geometry::Pose;
+use crate::geometry::lanes::LANES;
 use nalgebra::{Matrix6, Vector3};
 
 /// How a fragment stands against another.

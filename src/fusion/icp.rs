@@ -1,13 +1,13 @@
 //! Tracking: projective point-to-plane ICP against the raycast model (Newcombe et al. 2011).
 
-use super::lanes::LANES;
-use super::lens::Lens;
 use super::noise::DepthNoise;
 use super::normal_equations::{Rows, huber_weight};
 use super::points::{Points, Residuals, equations};
 use super::pyramid::{FramePyramid, Level, N_REDUCED};
 use super::raycast::ModelMap;
+use crate::geometry::Lens;
 use crate::geometry::Pose;
+use crate::geometry::lanes::LANES;
 use nalgebra::{Matrix3, Vector3};
 use pulp::Arch;
 use serde::{Deserialize, Serialize};

@@ -6,10 +6,10 @@
 
 use super::band_ends::Sight;
 use super::block::{BRICK_VOXELS, Block, BlockCoord, TSDF_ONE};
-use super::lanes::round_bits;
 use super::observe::{DepthStep, Observation, Observations, slope_of, weight_of};
 use super::view::View;
 use super::volume::TsdfVolume;
+use crate::geometry::lanes::round_bits;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Blocks that one task updates.
@@ -173,11 +173,11 @@ const MAX_WEIGHT: f32 = 65_535.0;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::arch_levels;
     use crate::fusion::block::{BLOCK_SIDE, UNSEEN, WEIGHT_ONE, voxel_index};
-    use crate::fusion::lens::Lens;
     use crate::fusion::observe::observation;
+    use crate::geometry::Lens;
     use crate::geometry::camera::tests::distorted_camera;
+    use crate::geometry::lanes::arch_levels;
     use crate::geometry::{CameraModel, Pose};
 
     const N_PIXELS: usize = 512 * 424;

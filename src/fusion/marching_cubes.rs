@@ -285,8 +285,8 @@ fn distance(volume: &TsdfVolume, around: &Neighbours, [x, y, z]: [usize; 3]) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::{arch_levels, sampling::tests::volume_of};
     use crate::geometry::EdgeAdjacency;
+    use crate::{fusion::sampling::tests::volume_of, geometry::lanes::arch_levels};
 
     #[test]
     fn a_sphere_is_closed_oriented_and_in_its_place() {

@@ -13,8 +13,6 @@ mod params;
 mod steps;
 
 mod eye;
-mod lanes;
-mod lens;
 mod normals;
 mod preprocess;
 mod pyramid;
@@ -73,8 +71,6 @@ pub use icp::IcpParams;
 pub use improvement::{GoesOn, Improvement, Work};
 pub use infrared::InfraredOptics;
 pub use keyframes::Keyframe;
-#[cfg(test)]
-pub(crate) use lanes::arch_levels;
 pub use live_mesh::LiveMesh;
 pub use loop_closing::{LoopClosingParams, LoopClosure};
 pub use noise::DepthNoise;

@@ -1,6 +1,6 @@
 //! Weighted 6×6 normal equations, summed in single precision over a tile of pixels and in double precision over tiles.
 
-use super::lanes::{LANES, Lane};
+use crate::geometry::lanes::{LANES, Lane};
 use crate::geometry::{Pose, increment};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
 //! Normals of a level by central differences.
 
-use super::lanes::{LANES, Lane};
 use super::noise::DepthNoise;
 use super::preprocess::{SAME_SURFACE_SIGMAS, rows_round};
 use super::pyramid::{Level, lane};
+use crate::geometry::lanes::{LANES, Lane};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 

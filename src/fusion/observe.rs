@@ -2,10 +2,10 @@
 
 use super::band_ends::{self, BandEnds, TILE};
 use super::block::WEIGHT_ONE;
-use super::lanes::{LANES, Lane, round_bits};
 use super::noise::DepthNoise;
 use super::preprocess::SAME_SURFACE_SIGMAS;
 use super::pyramid::{FramePyramid, Level, lane};
+use crate::geometry::lanes::{LANES, Lane, round_bits};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! Depth images in memory at about a byte a pixel: steps of the sensor's precision, differences along the rows, runs of
 //! missing pixels.
 
-use super::lanes::{LANES, floor};
+use crate::geometry::lanes::{LANES, floor};
 use depth_camera::Image;
 
 /// Depth is kept in steps of 0.1 mm, a tenth of the least depth noise (1.2 mm), or of what 16 bits allow.

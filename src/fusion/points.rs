@@ -1,8 +1,8 @@
 //! The points of a reduced level and the sums over their residuals, whatever they are aligned to.
 
-use super::lanes::{LANES, Lane};
 use super::normal_equations::{NormalEquations, Rows, TileSums};
 use super::pyramid::{Level, lane};
+use crate::geometry::lanes::{LANES, Lane};
 use pulp::{Arch, Simd, WithSimd};
 
 /// What points are aligned to.

@@ -252,9 +252,9 @@ pub fn rows_round(plane: &[f32], width: usize, v: usize) -> [&[f32]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::arch_levels;
     use crate::geometry::CameraModel;
     use crate::geometry::camera::tests::distorted_camera;
+    use crate::geometry::lanes::arch_levels;
     use depth_camera::{Intrinsics, Sensor};
 
     const ALL: DepthRange = DepthRange {

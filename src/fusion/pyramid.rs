@@ -1,7 +1,7 @@
 //! The levels of one frame: depth, rays and normals in planes of their own, kept from frame to frame.
 
-use super::lanes::{LANES, Lane};
-use super::lens::Lens;
+use crate::geometry::Lens;
+use crate::geometry::lanes::{LANES, Lane};
 use crate::geometry::{CameraModel, RayGrid};
 
 /// How many reduced levels there are.

@@ -5,13 +5,13 @@
 //! the nearest depth beside them; where there is none, the model is not looked for.
 
 use super::icp::{Rotation, rows, turn};
-use super::lanes::{LANES, Lane};
 use super::preprocess::DepthRange;
 use super::pyramid::{Level, lane};
 use super::sampling::Samples;
 use super::sight::Sight;
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
+use crate::geometry::lanes::{LANES, Lane};
 use depth_camera::Image;
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};

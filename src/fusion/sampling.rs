@@ -1,8 +1,8 @@
 //! Samples of the volume by trilinear interpolation, one by one or of many points together.
 
 use super::block::{BLOCK_VOXELS, TSDF_ONE, UNSEEN, index_parts};
-use super::lanes::{LANES, Lane, floor};
 use super::volume::TsdfVolume;
+use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::Vector3;
 
 /// What the volume holds at many points; both are 0 where it does not know.

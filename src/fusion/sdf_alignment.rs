@@ -4,13 +4,13 @@
 //! neither a raycast nor a pairing comes between frame and model. It needs a start within the truncation distance.
 
 use super::icp::{is_small, rows, turn};
-use super::lanes::LANES;
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, huber_weight};
 use super::points::{self, Points, Residuals};
 use super::pyramid::{Level, N_REDUCED};
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
+use crate::geometry::lanes::LANES;
 use pulp::Arch;
 
 /// Aligns a frame to the volume from a first guess, on the images reduced by 8 and then by 4, with so many iterations at

@@ -4,8 +4,8 @@
 //! voxel to voxel: a voxel's pixel costs one division.
 
 use super::block::{BLOCK_SIDE, BRICK_SIDE, BRICK_VOXELS, BRICKS, BlockCoord};
-use super::lens::Lens;
 use super::volume::TsdfVolume;
+use crate::geometry::Lens;
 use crate::geometry::Pose;
 use nalgebra::{Matrix3, Vector3};
 use std::ops::RangeInclusive;

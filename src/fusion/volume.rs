@@ -4,7 +4,7 @@
 //! the page, one for the block.
 
 use super::block::{BLOCK_SIDE, Block, BlockCoord};
-use super::lanes::floor;
+use crate::geometry::lanes::floor;
 
 /// Blocks along a page's side.
 const PAGE_SIDE: i32 = 16;

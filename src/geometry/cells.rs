@@ -1,8 +1,8 @@
 //! An image cut into square cells, for what varies slowly over it.
 
 use super::PixelSquare;
+use super::lanes::{LANES, Lane, floor};
 use depth_camera::Image;
-use nalgebra::Vector2;
 use rayon::prelude::*;
 use std::ops::{Add, Mul};
 
@@ -76,30 +76,42 @@ impl CellGrid {
             .enumerate()
             .for_each(|(v, out)| {
                 let (above, below, down) = self.between(v as f32, self.rows);
-                let [above, below] = [above, below].map(|row| &values[row * self.columns..]);
+                let [above, below] =
+                    [above, below].map(|row| &values[row as usize * self.columns..]);
                 let row: Vec<f32> = (0..self.columns)
                     .map(|k| above[k] + (below[k] - above[k]) * down)
                     .collect();
                 for (u, out) in out.iter_mut().enumerate() {
                     let (left, right, along) = self.between(u as f32, self.columns);
-                    *out = row[left] + (row[right] - row[left]) * along;
+                    let [left, right] = [left, right].map(|column| row[column as usize]);
+                    *out = left + (right - left) * along;
                 }
             });
         Image::from_vec(self.width, self.height, out)
     }
 
-    /// The cells whose middles lie around a place on the image (pixels), with their bilinear shares of 1.
-    #[inline]
-    pub fn around(&self, pixel: &Vector2<f64>) -> [(usize, f32); 4] {
-        let (left, right, along) = self.between(pixel.x as f32, self.columns);
-        let (above, below, down) = self.between(pixel.y as f32, self.rows);
-        let [above, below] = [above, below].map(|row| row * self.columns);
-        [
-            (above + left, (1.0 - along) * (1.0 - down)),
-            (above + right, along * (1.0 - down)),
-            (below + left, (1.0 - along) * down),
-            (below + right, along * down),
-        ]
+    /// The four cells whose middles lie around places on the image (columns and rows, pixels), with their bilinear shares of 1.
+    #[inline(always)]
+    pub fn around(&self, u: &Lane, v: &Lane) -> ([[u32; LANES]; 4], [Lane; 4]) {
+        let (mut cells, mut shares) = ([[0; LANES]; 4], [[0.0; LANES]; 4]);
+        for i in 0..LANES {
+            let (left, right, along) = self.between(u[i], self.columns);
+            let (above, below, down) = self.between(v[i], self.rows);
+            let [above, below] = [above, below].map(|row| row * self.columns as u32);
+            let around = [above + left, above + right, below + left, below + right];
+            let [before, beyond] = [1.0 - down, down];
+            let share = [
+                (1.0 - along) * before,
+                along * before,
+                (1.0 - along) * beyond,
+                along * beyond,
+            ];
+            for k in 0..4 {
+                cells[k][i] = around[k];
+                shares[k][i] = share[k];
+            }
+        }
+        (cells, shares)
     }
 
     /// Gives cells without a value the mean of their neighbours, from the known ones outwards; all are 0 where none is known.
@@ -155,11 +167,13 @@ impl CellGrid {
     }
 
     /// The cells before and after a pixel along one side, and how far it lies between their middles.
-    fn between(&self, pixel: f32, n: usize) -> (usize, usize, f32) {
+    #[inline(always)]
+    fn between(&self, pixel: f32, n: usize) -> (u32, u32, f32) {
+        let last = n as u32 - 1;
         let place = (pixel + 0.5) / self.cell_px as f32 - 0.5;
-        let place = place.clamp(0.0, (n - 1) as f32);
-        let first = place as usize;
-        (first, (first + 1).min(n - 1), place - first as f32)
+        let place = place.max(0.0).min(last as f32);
+        let first = floor(place) as u32;
+        (first, (first + 1).min(last), place - first as f32)
     }
 }
 
@@ -190,9 +204,11 @@ mod tests {
             );
         }
         assert_eq!(image.at(0, 0), image.at(7, 7));
-        let place = Vector2::new(123.0, 77.0);
-        let around = cells.around(&place).into_iter();
-        let mixed: f32 = around.map(|(cell, share)| values[cell] * share).sum();
+        let (around, shares) = cells.around(&[123.0; LANES], &[77.0; LANES]);
+        let around = around.iter().zip(shares);
+        let mixed: f32 = around
+            .map(|(cell, share)| values[cell[3] as usize] * share[3])
+            .sum();
         assert!((mixed - image.at(123, 77)).abs() < 1e-4);
     }
 

@@ -5,11 +5,12 @@
 //! what a perfectly white surface would show of it, so that the derivative by the normal stays what it is. It varies slowly,
 //! and is known on cells of the image.
 
-use super::sources::{LANES, MIN_DISTANCE_M, Sources};
+use super::sources::{MIN_DISTANCE_M, Sources};
 use super::{LitScene, WhiteLevel};
+use crate::geometry::lanes::{LANES, Lane};
 use crate::geometry::{CellGrid, DepthPatch, RayGrid};
 use depth_camera::Image;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -48,15 +49,22 @@ impl IndirectLight {
         }
     }
 
-    /// The light that arrives at a pixel, as a vector towards where it comes from, in the unit of
-    /// [`NearLight::incident`](crate::shading::NearLight::incident).
-    #[inline]
-    pub fn at(&self, pixel: &Vector2<f64>, white: WhiteLevel) -> Vector3<f64> {
-        let around = self.cells.around(pixel);
-        let sum = around.iter().fold(Vector3::zeros(), |sum, &(cell, share)| {
-            sum + self.arriving[cell] * share
-        });
-        sum.cast() * white.strength()
+    /// The light that arrives at places on the image (columns and rows, pixels), as vectors towards where it comes from, in the
+    /// unit of [`NearLight::incident`](crate::shading::NearLight::incident).
+    #[inline(always)]
+    pub fn at(&self, u: &Lane, v: &Lane, white: WhiteLevel) -> [Lane; 3] {
+        let (cells, shares) = self.cells.around(u, v);
+        let strength = white.strength() as f32;
+        let mut sums = [[0.0; LANES]; 3];
+        for (cells, shares) in cells.iter().zip(&shares) {
+            for i in 0..LANES {
+                let arriving = &self.arriving[cells[i] as usize];
+                for axis in 0..3 {
+                    sums[axis][i] += arriving[axis] * shares[i];
+                }
+            }
+        }
+        sums.map(|sum| sum.map(|x| x * strength))
     }
 }
 

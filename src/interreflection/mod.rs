@@ -14,7 +14,7 @@ mod support;
 
 pub use indirect_light::IndirectLight;
 pub use patches::{Lit, PatchGrid};
-pub use sources::{LANES, MIN_DISTANCE_M, Sources};
+pub use sources::{MIN_DISTANCE_M, Sources};
 
 use depth_camera::Image;
 use std::f64::consts::PI;

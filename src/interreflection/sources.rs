@@ -1,9 +1,8 @@
 //! What sends light, laid out for kernels.
 
 use super::Lit;
+use crate::geometry::lanes::{LANES, Lane};
 
-/// Patches in one step of a kernel, whatever the processor's vectors hold, so that sums do not depend on it.
-pub const LANES: usize = 16;
 /// Patches nearer to one another than this count as this far apart, metres: a patch is no point.
 pub const MIN_DISTANCE_M: f32 = 0.02;
 
@@ -13,7 +12,7 @@ const N_COORDINATES: usize = 8;
 /// Coordinates of patches, in steps of a kernel; the last is filled up with dark ones.
 #[derive(Clone, Debug)]
 pub struct Sources {
-    steps: Vec<[[f32; LANES]; N_COORDINATES]>,
+    steps: Vec<[Lane; N_COORDINATES]>,
 }
 
 impl Sources {
@@ -36,7 +35,7 @@ impl Sources {
 
     /// The steps: x, y, z (m), the normal's x, y, z, radiance times area (m²), distance to the light (m).
     #[inline]
-    pub fn steps(&self) -> &[[[f32; LANES]; N_COORDINATES]] {
+    pub fn steps(&self) -> &[[Lane; N_COORDINATES]] {
         &self.steps
     }
 }

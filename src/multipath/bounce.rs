@@ -4,7 +4,8 @@
 //! look as bright. That over what the light sends there directly is the share of light that has come over the first patch,
 //! whatever the second one's albedo; its path is longer by the way from light to patch to patch over that from the light.
 
-use crate::interreflection::{LANES, Lit, MIN_DISTANCE_M, Sources};
+use crate::geometry::lanes::LANES;
+use crate::interreflection::{Lit, MIN_DISTANCE_M, Sources};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::ops::{Add, Mul};

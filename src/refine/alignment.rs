@@ -5,6 +5,7 @@
 //! and a shift move pixels in different ways, so that both are determined.
 
 use super::energy::unit_normal;
+use super::gaze::Gaze;
 use super::view::{Sample, View};
 use crate::geometry::{Pose, TriMesh, increment};
 use crate::shading::Tukey;
@@ -58,6 +59,21 @@ pub struct AlignmentTarget<'a> {
     pub loss: Tukey,
 }
 
+impl AlignmentTarget<'_> {
+    /// Calls `each` with every face to align by that the view shows, its area (m²) and what it looks like.
+    pub fn each_sample(&self, view: &View, mut each: impl FnMut(usize, f64, &Sample)) {
+        let points = self.faces.iter().map(|&face| &self.sites[face as usize]);
+        Gaze::new(view).each(points, |index, look| {
+            let face = self.faces[index] as usize;
+            if let Some((normal, area)) = unit_normal(self.mesh, face)
+                && let Some(sample) = view.sample(look, &normal)
+            {
+                each(face, area, &sample);
+            }
+        });
+    }
+}
+
 type Matrix7 = SMatrix<f64, 7, 7>;
 type Vector7 = SVector<f64, 7>;
 
@@ -91,23 +107,16 @@ fn normal_equations(
     let centre = view.camera_from_world * target.centre;
     let (mut jtj, mut jtr) = prior(view, &centre, params);
     let correlated_m2 = params.correlation_m * params.correlation_m;
-    for &face in target.faces {
-        let face = face as usize;
-        let Some((normal, area)) = unit_normal(target.mesh, face) else {
-            continue;
-        };
-        let Some(sample) = view.sample(&target.sites[face], &normal) else {
-            continue;
-        };
-        let Some((residual, row)) = row(view, &sample, target.albedo[face], &centre) else {
-            continue;
+    target.each_sample(view, |face, area, sample| {
+        let Some((residual, row)) = row(view, sample, target.albedo[face], &centre) else {
+            return;
         };
         let covered = sample.covered(view, area);
         let independent = (area / correlated_m2).min(1.0) * target.stands_for;
         let weight = target.loss.weight(residual) * covered * independent;
         jtj += row * row.transpose() * weight;
         jtr += row * (residual * weight);
-    }
+    });
     (jtj, jtr)
 }
 
@@ -117,8 +126,8 @@ fn row(view: &View, sample: &Sample, albedo: f64, centre: &Point3<f64>) -> Optio
     let (light, n) = (view.light(), &sample.normal_camera);
     let prediction = albedo * sample.unit_prediction;
     let scale = look.gain * albedo;
-    let highlight = view.highlight(&look.point_camera, n);
-    let by_normal = (view.arriving(&look.point_camera, &look.pixel) + highlight.by_normal) * -scale;
+    let highlight = view.highlight(look, n);
+    let by_normal = (look.arriving() + highlight.by_normal) * -scale;
     // Light over other surfaces and the highlight are taken to stay as the point moves.
     let by_point =
         view.image_gradient(look)? - light.irradiance_by_point(&look.point_camera, n) * scale;

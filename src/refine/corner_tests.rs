@@ -103,7 +103,11 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
     let mut view = View::new(&snapshot(&optics), &context);
     let error = |view: &View, x: f64| {
         let (point, normal) = at(x, 0.01);
-        let sample = view.sample(&point, &normal).expect("is seen");
+        let mut seen = None;
+        Gaze::new(view).each(iter::once(&point), |_, look| {
+            seen = view.sample(look, &normal)
+        });
+        let sample = seen.expect("is seen");
         WHITE.0 * REFLECTED * sample.unit_prediction / sample.look.observed - 1.0
     };
     for x in [-0.08, -0.04, 0.02, 0.06] {

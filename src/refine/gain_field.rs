@@ -5,6 +5,7 @@
 //! the depth sensor's own slow error. The field takes such differences up, so that shading decides the detail and the anchor
 //! the slow shape. It is estimated in turn with the displacements, from observed over predicted intensity.
 
+use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::Vector2;
 
 /// Gains on a grid of cells over the image, bilinear between them; 1 where nothing was observed.
@@ -39,6 +40,29 @@ impl GainField {
             .iter()
             .map(|&(corner, weight)| weight * self.values[corner])
             .sum()
+    }
+
+    /// Gain at places on the image, columns and rows.
+    #[inline(always)]
+    pub fn at_lanes(&self, u: &Lane, v: &Lane) -> Lane {
+        let per_px = 1.0 / self.cell_px as f32;
+        let (mut first, mut along, mut down) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let (x, y) = (u[i] * per_px, v[i] * per_px);
+            let (column, row) = (floor(x), floor(y));
+            along[i] = x - column as f32;
+            down[i] = y - row as f32;
+            first[i] = row * self.columns as i32 + column;
+        }
+        let mut gain = [0.0; LANES];
+        for i in 0..LANES {
+            let first = first[i] as usize;
+            let below = first + self.columns;
+            let [a, b, c, d] = [first, first + 1, below, below + 1].map(|k| self.values[k] as f32);
+            let (top, bottom) = (a + (b - a) * along[i], c + (d - c) * along[i]);
+            gain[i] = top + (bottom - top) * down[i];
+        }
+        gain
     }
 
     /// The four corners of a pixel's cell and their bilinear weights.

@@ -21,6 +21,7 @@ mod error;
 mod evidence;
 mod expansion;
 mod gain_field;
+mod gaze;
 #[cfg(test)]
 mod guard_tests;
 mod held_out;

@@ -4,12 +4,15 @@
 //! and a residual costs a scalar product.
 
 use super::energy::unit_normal;
+use super::gaze::{Gaze, Lanes3, Weighed, set_lane};
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::geometry::lanes::LANES;
 use crate::shading::median_absolute_deviation;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// One site in one view.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +27,26 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// Where a view shows nothing.
+    const NONE: Observation = Observation {
+        observed: f32::NAN,
+        light: [0.0; 3],
+        pixels_per_m2: [0.0; 3],
+    };
+
+    fn of_lane(weighed: &Weighed, lane: usize) -> Observation {
+        let of = |lanes: &Lanes3| [0, 1, 2].map(|axis| lanes[axis][lane]);
+        Observation {
+            observed: weighed.observed[lane],
+            light: of(&weighed.light),
+            pixels_per_m2: of(&weighed.pixels_per_m2),
+        }
+    }
+
+    fn is_there(&self) -> bool {
+        !self.observed.is_nan()
+    }
+
     /// Light that arrives, as a vector whose product with the unit normal is the prediction for unit albedo, in sigmas. Gloss is in it as
     /// it is about the normal of the start of the round.
     #[inline]
@@ -77,46 +100,25 @@ impl Observations {
 
     fn every(stride: usize, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
         let n_faces = sites.points.len();
-        let is_glossy = views.iter().any(View::is_glossy);
-        // Gloss alone needs it; a face without a normal is seen by nobody.
-        let normal_of = |face: usize| match is_glossy {
-            true => unit_normal(mesh, face).map_or_else(Vector3::zeros, |(normal, _)| normal),
-            false => Vector3::zeros(),
-        };
-        let of_face = |face: usize, entries: &mut Vec<Observation>| {
-            let mut set = match face % stride {
-                0 => sites.visible[face],
-                _ => 0,
-            };
-            let before = entries.len();
-            let normal = normal_of(face);
-            while set != 0 {
-                let view = &views[set.trailing_zeros() as usize];
-                entries.extend(view.observe(&sites.points[face], &normal));
-                set &= set - 1;
-            }
-            (entries.len() - before) as u32
-        };
-        let tiles: Vec<(Vec<u32>, Vec<Observation>)> = (0..n_faces.div_ceil(TILE))
+        let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
+        let tiles: Vec<Tile> = (0..n_faces.div_ceil(TILE))
             .into_par_iter()
             .map(|tile| {
-                let mut entries = Vec::new();
                 let faces = tile * TILE..((tile + 1) * TILE).min(n_faces);
-                let counts = faces.map(|face| of_face(face, &mut entries)).collect();
-                (counts, entries)
+                Tile::new(faces, stride, mesh, sites, &gazes)
             })
             .collect();
         let mut starts = Vec::with_capacity(n_faces + 1);
         starts.push(0);
         let mut end = 0;
-        for count in tiles.iter().flat_map(|(counts, _)| counts) {
+        for count in tiles.iter().flat_map(|tile| &tile.counts) {
             end += count;
             starts.push(end);
         }
         let mut entries = Vec::with_capacity(end as usize);
         // Each tile is freed as soon as it is taken over.
-        for (_, tile) in tiles {
-            entries.extend(tile);
+        for tile in tiles {
+            entries.extend(tile.entries.into_iter().filter(Observation::is_there));
         }
         Observations { starts, entries }
     }
@@ -142,27 +144,79 @@ impl Observations {
     }
 }
 
-impl View {
-    /// What this view shows at a point; `None` where its pixel is unusable.
+/// What the views show of some faces.
+struct Tile {
+    /// Observations of each face.
+    counts: Vec<u32>,
+    /// Face by face and in the order of the views, and among them those that are not there.
+    entries: Vec<Observation>,
+}
+
+impl Tile {
+    fn new(
+        faces: Range<usize>,
+        stride: usize,
+        mesh: &TriMesh,
+        sites: &Sites,
+        gazes: &[Gaze],
+    ) -> Tile {
+        let set_of = |face: usize| match face % stride {
+            0 => sites.visible[face],
+            _ => 0,
+        };
+        let mut starts = Vec::with_capacity(faces.len());
+        let mut end = 0;
+        for face in faces.clone() {
+            starts.push(end);
+            end += set_of(face).count_ones();
+        }
+        let mut tile = Tile {
+            counts: vec![0; faces.len()],
+            entries: vec![Observation::NONE; end as usize],
+        };
+        // One view after the other, so that its image stays at hand.
+        for (k, gaze) in gazes.iter().enumerate() {
+            let seen = faces.clone().filter(|&face| set_of(face) >> k & 1 == 1);
+            let before = |face: usize| (set_of(face) & ((1 << k) - 1)).count_ones();
+            let slots = seen.map(|face| {
+                let index = face - faces.start;
+                (face, index, (starts[index] + before(face)) as usize)
+            });
+            tile.observe(gaze, slots, mesh, sites);
+        }
+        tile
+    }
+
+    /// Fills in what a view shows of faces, given with their numbers in the tile and the places of their observations.
     fn observe(
-        &self,
-        point_world: &Point3<f64>,
-        normal_world: &Vector3<f64>,
-    ) -> Option<Observation> {
-        let seen = self.look(point_world)?;
-        let inv_sigma = 1.0 / seen.sigma;
-        let world_from_camera = self.camera_from_world.rotation.inverse();
-        let normal = self.camera_from_world * normal_world;
-        let highlight = self.highlight(&seen.point_camera, &normal);
-        let arriving = self.arriving(&seen.point_camera, &seen.pixel);
-        // The slope lies across the normal: value and slope are right there.
-        let highlight = normal * highlight.value + highlight.by_normal;
-        let light = world_from_camera * (arriving + highlight);
-        let narrow = |v: Vector3<f64>| [v.x, v.y, v.z].map(|x| x as f32);
-        Some(Observation {
-            observed: (seen.observed * inv_sigma) as f32,
-            light: narrow(light * (seen.gain * inv_sigma)),
-            pixels_per_m2: narrow(world_from_camera * self.pixels_per_m2(&seen.point_camera)),
-        })
+        &mut self,
+        gaze: &Gaze,
+        mut slots: impl Iterator<Item = (usize, usize, usize)>,
+        mesh: &TriMesh,
+        sites: &Sites,
+    ) {
+        let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        loop {
+            let (mut to, mut n) = ([(0, 0); LANES], 0);
+            for (face, index, slot) in slots.by_ref().take(LANES) {
+                set_lane(&mut points, n, &sites.points[face].coords);
+                if gaze.needs_normals()
+                    && let Some((normal, _)) = unit_normal(mesh, face)
+                {
+                    set_lane(&mut normals, n, &normal);
+                }
+                to[n] = (index, slot);
+                n += 1;
+            }
+            if n == 0 {
+                return;
+            }
+            let weighed = gaze.weighed(&points, &normals);
+            for (lane, &(index, slot)) in to[..n].iter().enumerate() {
+                let seen = Observation::of_lane(&weighed, lane);
+                self.counts[index] += u32::from(seen.is_there());
+                self.entries[slot] = seen;
+            }
+        }
     }
 }

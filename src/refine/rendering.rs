@@ -4,6 +4,7 @@
 //! the prediction is not. Here every pixel is the mean of the facets under it.
 
 use super::energy::unit_normal;
+use super::gaze::Gaze;
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::{TriMesh, rasterise};
@@ -20,15 +21,19 @@ pub fn render(
     (sites, index): (&Sites, usize),
     albedo: &[f64],
 ) -> Image<f32> {
-    let by_face: Vec<f32> = (0..mesh.faces.len())
-        .map(|face| {
-            let seen = sites.visible[face] >> index & 1 == 1;
-            let (normal, _) = unit_normal(mesh, face).filter(|_| seen)?;
-            let unit = view.unit_prediction(&sites.points[face], &normal)?;
-            Some((albedo[face] * unit) as f32)
-        })
-        .map(|prediction| prediction.unwrap_or(f32::NAN))
-        .collect();
+    let mut by_face = vec![f32::NAN; mesh.faces.len()];
+    let faces = sites.faces_of(index);
+    let points = faces.iter().map(|&face| &sites.points[face as usize]);
+    Gaze::new(view).each(points, |index, look| {
+        let face = faces[index] as usize;
+        let prediction = unit_normal(mesh, face).and_then(|(normal, _)| {
+            let normal_camera = view.camera_from_world * normal;
+            view.unit_prediction(look, &normal_camera)
+        });
+        if let Some(unit) = prediction {
+            by_face[face] = (albedo[face] * unit) as f32;
+        }
+    });
     let samples = rasterise(mesh, &view.camera().finer(SAMPLES), &view.camera_from_world).face;
     let sample = |u: usize, v: usize| {
         let face = *samples.at(u, v) as usize;

@@ -2,7 +2,7 @@
 
 use super::albedo::{Albedo, Groups};
 use super::alignment::{AlignmentTarget, align_view};
-use super::energy::{PriorWeights, Problem, Surface, unit_normal};
+use super::energy::{PriorWeights, Problem, Surface};
 use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
@@ -220,14 +220,7 @@ const GAIN_FIELD_PRIOR: f64 = 8000.0;
 /// Re-estimates the slow gain over a view's image from the sites that it sees.
 fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
     let mut sums = view.gain_field.sums();
-    for &face in target.faces {
-        let face = face as usize;
-        let Some((normal, area)) = unit_normal(target.mesh, face) else {
-            continue;
-        };
-        let Some(sample) = view.sample(&target.sites[face], &normal) else {
-            continue;
-        };
+    target.each_sample(view, |face, area, sample| {
         let look = &sample.look;
         let predicted = target.albedo[face] * sample.unit_prediction;
         let without_field = predicted * view.gain / look.gain;
@@ -238,7 +231,7 @@ fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
             look.observed,
             robust * sample.covered(view, area) * target.stands_for / (look.sigma * look.sigma),
         );
-    }
+    });
     view.gain_field = sums.solve(GAIN_FIELD_PRIOR);
 }
 

@@ -12,6 +12,7 @@
 //! with the lobe.
 
 use super::energy::unit_normal;
+use super::gaze::Gaze;
 use super::optics::Optics;
 use super::sites::Sites;
 use super::view::View;
@@ -292,11 +293,12 @@ impl LitPatch {
             .try_normalize(0.0)?;
         let tilts = [first, mean.cross(&first)];
         let readings = views.iter().enumerate().filter_map(|(index, view)| {
-            let seen = facets
-                .iter()
-                .filter(|(face, ..)| sites.visible[*face] >> index & 1 == 1)
-                .map(|&(face, normal, area)| (&sites.points[face], normal, area));
-            read(index, view, seen, &tilts, optics.calibration)
+            let seen = facets.iter().copied();
+            let seen = seen.filter(|(face, ..)| sites.visible[*face] >> index & 1 == 1);
+            let seen: Vec<_> = seen
+                .map(|(face, normal, area)| (&sites.points[face], normal, area))
+                .collect();
+            read(index, view, &seen, &tilts, optics.calibration)
         });
         let readings: Vec<Reading> = readings.collect();
         (readings.len() >= MIN_VIEWS).then(|| LitPatch {
@@ -308,33 +310,34 @@ impl LitPatch {
 }
 
 /// Integrates what a view shows of facets (centroid, normal, area), world frame.
-fn read<'a>(
+fn read(
     index: usize,
     view: &View,
-    facets: impl Iterator<Item = (&'a Point3<f64>, Vector3<f64>, f64)>,
+    facets: &[(&Point3<f64>, Vector3<f64>, f64)],
     tilts: &[Vector3<f64>; 2],
     calibration: &Calibration,
 ) -> Option<Reading> {
     let (mut area, mut observed, mut weighted_log) = (0.0, 0.0, 0.0);
     let mut sums = [Vector3::zeros(); 3];
     let (mut n_facets, mut variance) = (0, 0.0);
-    for (point, normal, a) in facets {
-        let Some(look) = view.look(point).filter(|look| look.observed > 0.0) else {
-            continue;
-        };
+    let points = facets.iter().map(|(point, ..)| *point);
+    Gaze::new(view).each(points, |index, look| {
+        let (_, normal, a) = facets[index];
+        if !(look.observed > 0.0) {
+            return;
+        }
         let p = look.point_camera;
         let flat = calibration.flat_field.factor(p.x / p.z, p.y / p.z);
         let response = calibration.gamma * (look.observed * flat).ln();
         area += a;
         observed += a * look.observed;
         weighted_log += a * look.observed * response;
-        let indirect = view.arriving(&p, &look.pixel) - view.light().incident(&p);
-        for (sum, part) in sums.iter_mut().zip([p.coords, normal, indirect]) {
+        for (sum, part) in sums.iter_mut().zip([p.coords, normal, look.indirect]) {
             *sum += part * a;
         }
         variance += (look.sigma / look.observed).powi(2);
         n_facets += 1;
-    }
+    });
     let [point, normal, indirect] = sums.map(|sum| sum / area);
     let log_observed = weighted_log / observed;
     let turn = view.camera_from_world.rotation;

@@ -1,9 +1,11 @@
 //! Where the surface is compared with the images: one site a facet, at its centroid.
 
 use super::energy::unit_normal;
+use super::gaze::{Gaze, set_lane};
 use super::view::View;
 use crate::geometry::TriMesh;
-use nalgebra::Point3;
+use crate::geometry::lanes::LANES;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 /// The sites of a mesh and the views that see them.
@@ -31,20 +33,30 @@ impl Sites {
         let points: Vec<Point3<f64>> = (0..mesh.faces.len())
             .map(|face| mesh.centroid(face))
             .collect();
-        let visible = points
-            .par_iter()
+        let gazes: Vec<(usize, Gaze)> = views
+            .iter()
             .enumerate()
-            .map(|(face, point)| {
-                let Some((normal, _)) = unit_normal(mesh, face) else {
-                    return 0;
-                };
-                let seen = views
-                    .iter()
-                    .enumerate()
-                    .filter(|(k, view)| set >> k & 1 == 1 && view.sees(point, &normal));
-                seen.fold(0, |mask, (k, _)| mask | 1 << k)
-            })
+            .filter(|(k, _)| set >> k & 1 == 1)
+            .map(|(k, view)| (k, Gaze::new(view)))
             .collect();
+        let mut visible = vec![0; points.len()];
+        let tiles = visible.par_chunks_mut(LANES).zip(points.par_chunks(LANES));
+        tiles.enumerate().for_each(|(tile, (visible, points))| {
+            let (mut places, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+            for (lane, point) in points.iter().enumerate() {
+                // A face without a normal faces nobody.
+                let normal = unit_normal(mesh, tile * LANES + lane);
+                let normal = normal.map_or_else(Vector3::zeros, |(normal, _)| normal);
+                set_lane(&mut places, lane, &point.coords);
+                set_lane(&mut normals, lane, &normal);
+            }
+            for (k, gaze) in &gazes {
+                let is_seen = gaze.sees(&places, &normals);
+                for (set, is_seen) in visible.iter_mut().zip(is_seen) {
+                    *set |= ViewSet::from(is_seen) << k;
+                }
+            }
+        });
         Sites { points, visible }
     }
 
@@ -70,19 +82,19 @@ impl Sites {
             .enumerate()
             .map(|(k, view)| {
                 let (mut square, mut sum, mut n_sites) = (0.0, 0.0, 0usize);
-                for face in self.faces_of(k) {
-                    let face = face as usize;
-                    let Some((normal, _)) = unit_normal(mesh, face) else {
-                        continue;
-                    };
-                    let Some(sample) = view.sample(&self.points[face], &normal) else {
-                        continue;
-                    };
-                    square +=
-                        (sample.look.observed - albedo[face] * sample.unit_prediction).powi(2);
-                    sum += sample.look.observed;
-                    n_sites += 1;
-                }
+                let faces = self.faces_of(k);
+                let points = faces.iter().map(|&face| &self.points[face as usize]);
+                Gaze::new(view).each(points, |index, look| {
+                    let face = faces[index] as usize;
+                    let sample =
+                        unit_normal(mesh, face).and_then(|(normal, _)| view.sample(look, &normal));
+                    if let Some(sample) = sample {
+                        let error = look.observed - albedo[face] * sample.unit_prediction;
+                        square += error * error;
+                        sum += look.observed;
+                        n_sites += 1;
+                    }
+                });
                 let n = n_sites.max(1) as f64;
                 ViewError {
                     n_sites,

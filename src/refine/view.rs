@@ -3,9 +3,9 @@
 
 use super::gain_field::GainField;
 use super::optics::Optics;
-use crate::geometry::{CameraModel, Pose, TriMesh, rasterise};
+use crate::geometry::{CameraModel, Lens, Pose, TriMesh, rasterise};
 use crate::interreflection::{IndirectLight, LitScene, PatchGrid, WhiteLevel};
-use crate::shading::{Gloss, Highlight, LinearImage, NearLight, linearise};
+use crate::shading::{Gloss, Highlight, LightTable, LinearImage, NearLight, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{Image, Intrinsics};
 use nalgebra::{Point3, Vector2, Vector3};
@@ -58,7 +58,9 @@ impl Default for ImageTrust {
 #[derive(Clone, Debug)]
 pub struct View {
     camera: CameraModel,
+    lens: Lens,
     light: NearLight,
+    light_table: Arc<LightTable>,
     indirect: Arc<IndirectLight>,
     /// The white level if the brightest surfaces of this view are plaster.
     pub plausible_white: Option<WhiteLevel>,
@@ -69,7 +71,7 @@ pub struct View {
     linear: Arc<LinearImage>,
     /// Surface seen from the camera, metres.
     camera_depth_m: Arc<Image<f32>>,
-    light_model: CameraModel,
+    light_lens: Lens,
     /// Surface seen from the light, metres.
     light_depth_m: Arc<Image<f32>>,
     /// Pose from tracking.
@@ -85,17 +87,12 @@ pub struct View {
 
 /// From this share of full scale a pixel counts as saturated.
 pub const SATURATION: f64 = 0.985;
-/// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
-const HIDDEN_BEYOND_M: f64 = 0.004;
 /// What hides is known to no less than this, metres.
 pub const HIDING_CELL_M: f64 = 0.004;
 /// Live depth nearer than the model by this much is something in front of it, metres.
 const OCCLUDER_M: f32 = 0.015;
 /// Depth differences beyond this between pixels two apart are an edge, metres; 78° at 0.6 m on Kinect II.
 const DEPTH_EDGE_M: f32 = 0.02;
-/// Cosines of incidence below this are grazing, at the camera and at the light.
-const MIN_COSINE: f64 = 0.25;
-
 /// What a view shows at a point.
 #[derive(Clone, Copy, Debug)]
 pub struct Look {
@@ -111,6 +108,18 @@ pub struct Look {
     pub gain: f64,
     /// The point in the camera frame, metres.
     pub point_camera: Point3<f64>,
+    /// What arrives from the light: [`NearLight::incident`], camera frame.
+    pub direct: Vector3<f64>,
+    /// What arrives over other surfaces, in the same unit.
+    pub indirect: Vector3<f64>,
+}
+
+impl Look {
+    /// All light that arrives, as a vector whose product with the unit normal is the prediction for unit albedo and gain.
+    #[inline]
+    pub fn arriving(&self) -> Vector3<f64> {
+        self.direct + self.indirect
+    }
 }
 
 /// What a site looks like in a view.
@@ -118,7 +127,7 @@ pub struct Look {
 pub struct Sample {
     /// What the view shows there.
     pub look: Look,
-    /// `gain · field · (n·E + highlight)`, with E as of [`View::arriving`]: the prediction for unit albedo.
+    /// As of [`View::unit_prediction`].
     pub unit_prediction: f64,
     /// The normal in the camera frame.
     pub normal_camera: Vector3<f64>,
@@ -168,14 +177,16 @@ impl View {
         let cell_px = (trust.gain_cell_m * camera.intrinsics().fx / distance_m).max(4.0);
         View {
             camera,
+            lens: Lens::new(&camera),
             light: optics.light,
+            light_table: Arc::new(LightTable::new(&optics.light)),
             indirect: Arc::new(IndirectLight::new(&lit, &model_depth_m, optics.rays)),
             plausible_white: lit.plausible_white(),
             white: None,
             gloss: Gloss::default(),
             linear: Arc::new(linear),
             camera_depth_m: Arc::new(camera_depth_m),
-            light_model,
+            light_lens: Lens::new(&light_model),
             light_depth_m: Arc::new(light_depth_m),
             tracked_camera_from_world: camera_from_world,
             camera_from_world,
@@ -189,79 +200,6 @@ impl View {
         }
     }
 
-    /// Whether the view sees a point of the surface well enough to learn from it: unhidden from camera and light, not
-    /// grazing, and its pixel usable.
-    pub fn sees(&self, point_world: &Point3<f64>, normal_world: &Vector3<f64>) -> bool {
-        // Hiding is judged where the tracker put the camera, since the buffers were rendered from there.
-        let point = self.tracked_camera_from_world * point_world;
-        let normal = self.tracked_camera_from_world * normal_world;
-        let to_light = self.light.position - point;
-        let facing =
-            |direction: &Vector3<f64>| normal.dot(direction) > MIN_COSINE * direction.norm();
-        if !facing(&-point.coords) || !facing(&to_light) {
-            return false;
-        }
-        let point_light = Point3::from(-to_light);
-        unhidden(&self.camera, &self.camera_depth_m, &point)
-            && unhidden(&self.light_model, &self.light_depth_m, &point_light)
-            && self.shows(point_world)
-    }
-
-    /// Whether the pixels at a point are usable.
-    fn shows(&self, point_world: &Point3<f64>) -> bool {
-        let pixel = self.camera.project(&(self.camera_from_world * point_world));
-        pixel.is_some_and(|pixel| self.linear.has(pixel.x, pixel.y))
-    }
-
-    /// What this view shows at a point; `None` where its pixel is unusable.
-    pub fn look(&self, point_world: &Point3<f64>) -> Option<Look> {
-        let point_camera = self.camera_from_world * point_world;
-        let pixel = self.camera.project(&point_camera)?;
-        let (observed, gradient, noise) = self.linear.sample(pixel.x, pixel.y)?;
-        let slope_squared = gradient[0] * gradient[0] + gradient[1] * gradient[1];
-        let sigma = (noise * noise
-            + (self.trust.model_error * observed).powi(2)
-            + self.trust.misregistration_px.powi(2) * slope_squared)
-            .sqrt();
-        Some(Look {
-            observed,
-            gradient,
-            sigma,
-            pixel,
-            gain: self.gain * self.gain_field.at(&pixel),
-            point_camera,
-        })
-    }
-
-    /// What a site looks like in this view; `None` where its pixel is unusable or it faces away from the light.
-    pub fn sample(&self, point_world: &Point3<f64>, normal_world: &Vector3<f64>) -> Option<Sample> {
-        let look = self.look(point_world)?;
-        let normal_camera = self.camera_from_world * normal_world;
-        let irradiance = self.irradiance(&look.point_camera, &look.pixel, &normal_camera);
-        let unit_prediction = look.gain * irradiance;
-        (unit_prediction > 0.0).then_some(Sample {
-            look,
-            unit_prediction,
-            normal_camera,
-        })
-    }
-
-    /// `gain · field · (n·E + highlight)`, with E as of [`Self::arriving`], at a point, whatever its pixel showed; `None` where it does not project or is not lit.
-    pub fn unit_prediction(
-        &self,
-        point_world: &Point3<f64>,
-        normal_world: &Vector3<f64>,
-    ) -> Option<f64> {
-        let point_camera = self.camera_from_world * point_world;
-        let pixel = self.camera.project(&point_camera)?;
-        if !self.camera.contains(&pixel, 0.0) {
-            return None;
-        }
-        let normal_camera = self.camera_from_world * normal_world;
-        let irradiance = self.irradiance(&point_camera, &pixel, &normal_camera);
-        (irradiance > 0.0).then(|| self.gain * self.gain_field.at(&pixel) * irradiance)
-    }
-
     /// Derivative of the observed intensity by the point in the camera frame, per metre.
     pub fn image_gradient(&self, look: &Look) -> Option<Vector3<f64>> {
         let (_, jacobian) = self.camera.project_with_jacobian(&look.point_camera)?;
@@ -269,13 +207,22 @@ impl View {
         Some((jacobian.row(0) * du + jacobian.row(1) * dv).transpose())
     }
 
-    /// Light that arrives at a point (m, camera frame), from the light as of Eq. (1) and over other surfaces, as a vector
-    /// whose product with the unit normal is the prediction for unit albedo and gain.
-    #[inline]
-    pub fn arriving(&self, point_camera: &Point3<f64>, pixel: &Vector2<f64>) -> Vector3<f64> {
-        let direct = self.light.incident(point_camera);
-        self.white
-            .map_or(direct, |white| direct + self.indirect.at(pixel, white))
+    /// `gain · field · (n·E + highlight)` at a place, with E as of [`Look::arriving`]: the prediction for unit albedo. `None` where it is not lit.
+    pub fn unit_prediction(&self, look: &Look, normal_camera: &Vector3<f64>) -> Option<f64> {
+        let matte = normal_camera.dot(&look.arriving());
+        let irradiance = matte + self.highlight(look, normal_camera).value;
+        (irradiance > 0.0).then_some(look.gain * irradiance)
+    }
+
+    /// What a site looks like in this view, by what the view shows there; `None` where its pixel is unusable or it faces away from the light.
+    pub fn sample(&self, look: &Look, normal_world: &Vector3<f64>) -> Option<Sample> {
+        let normal_camera = self.camera_from_world * normal_world;
+        let unit_prediction = self.unit_prediction(look, &normal_camera)?;
+        (!look.observed.is_nan()).then_some(Sample {
+            look: *look,
+            unit_prediction,
+            normal_camera,
+        })
     }
 
     /// Whether gloss adds anything.
@@ -283,25 +230,15 @@ impl View {
         self.gloss.strength > 0.0
     }
 
-    /// What gloss adds at a point (m, camera frame).
+    /// What gloss adds at a place.
     #[inline]
-    pub fn highlight(&self, point_camera: &Point3<f64>, normal_camera: &Vector3<f64>) -> Highlight {
-        if !self.is_glossy() {
-            return Highlight::default();
+    pub fn highlight(&self, look: &Look, normal_camera: &Vector3<f64>) -> Highlight {
+        match self.is_glossy() {
+            true => self
+                .gloss
+                .highlight(&look.point_camera, normal_camera, &look.direct),
+            false => Highlight::default(),
         }
-        let direct = self.light.incident(point_camera);
-        self.gloss.highlight(point_camera, normal_camera, &direct)
-    }
-
-    /// Prediction for unit albedo and gain.
-    fn irradiance(
-        &self,
-        point_camera: &Point3<f64>,
-        pixel: &Vector2<f64>,
-        normal_camera: &Vector3<f64>,
-    ) -> f64 {
-        let matte = normal_camera.dot(&self.arriving(point_camera, pixel));
-        matte + self.highlight(point_camera, normal_camera).value
     }
 
     /// The camera.
@@ -319,12 +256,53 @@ impl View {
         &self.light
     }
 
+    /// The camera in single precision.
+    pub fn lens(&self) -> &Lens {
+        &self.lens
+    }
+
+    /// The light in single precision.
+    pub fn light_table(&self) -> &LightTable {
+        &self.light_table
+    }
+
+    /// What the light would see as a camera.
+    pub fn light_lens(&self) -> &Lens {
+        &self.light_lens
+    }
+
+    /// Surface seen from the camera, metres.
+    pub fn camera_depth_m(&self) -> &Image<f32> {
+        &self.camera_depth_m
+    }
+
+    /// Surface seen from the light, metres.
+    pub fn light_depth_m(&self) -> &Image<f32> {
+        &self.light_depth_m
+    }
+
+    /// What arrives over other surfaces.
+    pub fn indirect(&self) -> &IndirectLight {
+        &self.indirect
+    }
+
+    /// How far Eq. (1) is believed.
+    pub fn trust(&self) -> &ImageTrust {
+        &self.trust
+    }
+
     /// Pixels that a square metre of surface covers at a point, as a vector whose product with the unit normal (camera frame)
     /// foreshortens it; negative seen from behind.
-    pub fn pixels_per_m2(&self, point_camera: &Point3<f64>) -> Vector3<f64> {
-        let i = self.camera.intrinsics();
+    fn pixels_per_m2(&self, point_camera: &Point3<f64>) -> Vector3<f64> {
         let distance = point_camera.coords.norm();
-        point_camera.coords * (-i.fx * i.fy / (distance * point_camera.z * point_camera.z))
+        let z = point_camera.z;
+        point_camera.coords * (-self.pixels_per_sr() / (distance * z * z))
+    }
+
+    /// Pixels that a square metre covers one metre before the camera and facing it.
+    pub fn pixels_per_sr(&self) -> f64 {
+        let i = self.camera.intrinsics();
+        i.fx * i.fy
     }
 
     /// Where a point appears in this view, pixels.
@@ -361,21 +339,6 @@ fn light_camera_model() -> CameraModel {
         p2: 0.0,
         k3: 0.0,
     })
-}
-
-/// Whether a point lies on or before the surface of a depth buffer; of the four pixels round it the farthest counts, since
-/// the nearest may belong to another surface's rim.
-fn unhidden(camera: &CameraModel, depth_m: &Image<f32>, point: &Point3<f64>) -> bool {
-    let Some(pixel) = camera.project(point) else {
-        return false;
-    };
-    if !camera.contains(&pixel, 2.0) {
-        return false;
-    }
-    let (u, v) = (pixel.x as usize, pixel.y as usize);
-    [(0, 0), (1, 0), (0, 1), (1, 1)]
-        .iter()
-        .all(|(du, dv)| point.z < *depth_m.at(u + du, v + dv) as f64 + HIDDEN_BEYOND_M)
 }
 
 /// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN).

@@ -1,5 +1,6 @@
 //! The near light that moves with the camera.
 
+use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::{Point3, Vector3};
 
 /// A near point light in the camera frame whose emission falls off by a cosine power about the camera's optical axis.
@@ -64,6 +65,60 @@ impl NearLight {
         } else {
             (z.max(0.0) / squared.sqrt()).powf(self.lobe_power)
         }
+    }
+}
+
+/// A light for kernels: its lobe as a table over the cosine, right to 10⁻⁶ but in the last degrees.
+#[derive(Clone, Debug)]
+pub struct LightTable {
+    position: [f32; 3],
+    /// Emission at cosines from 0 to 1.
+    lobe: Vec<f32>,
+}
+
+impl LightTable {
+    /// Steps of the table.
+    const STEPS: usize = 1024;
+
+    /// Tabulates a light.
+    pub fn new(light: &NearLight) -> Self {
+        let cosines = (0..=Self::STEPS + 1).map(|k| k as f64 / Self::STEPS as f64);
+        LightTable {
+            position: light.position.coords.cast::<f32>().into(),
+            lobe: cosines.map(|c| light.lobe(c, 1.0) as f32).collect(),
+        }
+    }
+
+    /// [`NearLight::incident`] at many points (m, camera frame).
+    #[inline(always)]
+    pub fn incident(&self, points: &[Lane; 3]) -> [Lane; 3] {
+        let [lx, ly, lz] = self.position;
+        let mut v = [[0.0; LANES]; 3];
+        let (mut falloff, mut step, mut beyond) = ([0.0; LANES], [0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let (x, y, z) = (lx - points[0][i], ly - points[1][i], lz - points[2][i]);
+            let squared = x * x + y * y + z * z;
+            let distance = squared.sqrt();
+            falloff[i] = 1.0 / (squared * distance);
+            let place = (-z / distance).max(0.0) * Self::STEPS as f32;
+            step[i] = floor(place);
+            beyond[i] = place - step[i] as f32;
+            v[0][i] = x;
+            v[1][i] = y;
+            v[2][i] = z;
+        }
+        let (mut before, mut after) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            before[i] = self.lobe[step[i] as usize];
+            after[i] = self.lobe[step[i] as usize + 1];
+        }
+        for i in 0..LANES {
+            let scale = (before[i] + (after[i] - before[i]) * beyond[i]) * falloff[i];
+            for axis in &mut v {
+                axis[i] *= scale;
+            }
+        }
+        v
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::Calibration;
 use crate::geometry::RayGrid;
+use crate::geometry::lanes::{LANES, Lane, floor};
 use depth_camera::Image;
 
 /// Linear intensity with its standard deviation, both as shares of full scale on the optical axis.
@@ -116,6 +117,59 @@ impl LinearImage {
         let gradient = [(b - a) + ((d - c) - (b - a)) * fv, bottom - top];
         let nearest = (v + 0.5) as usize * width + (u + 0.5) as usize;
         Some((value, gradient, self.sigma.data()[nearest] as f64))
+    }
+}
+
+/// What an image shows between pixels, at many places.
+pub struct LinearSamples {
+    /// Value; NaN where a pixel is missing.
+    pub value: Lane,
+    /// Its gradient, per pixel.
+    pub gradient: [Lane; 2],
+    /// Its sigma.
+    pub sigma: Lane,
+}
+
+impl LinearImage {
+    /// [`Self::sample`] of many places at once (columns and rows), of which those outside the image are to lie on its first pixel.
+    #[inline(always)]
+    pub fn samples(&self, u: &Lane, v: &Lane) -> LinearSamples {
+        let width = self.value.width() as i32;
+        let (mut first, mut nearest) = ([0; LANES], [0; LANES]);
+        let (mut along, mut down) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let (column, row) = (floor(u[i]), floor(v[i]));
+            along[i] = u[i] - column as f32;
+            down[i] = v[i] - row as f32;
+            first[i] = row * width + column;
+            nearest[i] = floor(v[i] + 0.5) * width + floor(u[i] + 0.5);
+        }
+        let mut corners = [[0.0; LANES]; 4];
+        let mut sigma = [0.0; LANES];
+        let (values, sigmas) = (self.value.data(), self.sigma.data());
+        for i in 0..LANES {
+            let first = first[i] as usize;
+            let below = first + width as usize;
+            corners[0][i] = values[first];
+            corners[1][i] = values[first + 1];
+            corners[2][i] = values[below];
+            corners[3][i] = values[below + 1];
+            sigma[i] = sigmas[nearest[i] as usize];
+        }
+        let [a, b, c, d] = &corners;
+        let (mut value, mut gradient) = ([0.0; LANES], [[0.0; LANES]; 2]);
+        for i in 0..LANES {
+            let (across, across_below) = (b[i] - a[i], d[i] - c[i]);
+            let (top, bottom) = (a[i] + across * along[i], c[i] + across_below * along[i]);
+            value[i] = top + (bottom - top) * down[i];
+            gradient[0][i] = across + (across_below - across) * down[i];
+            gradient[1][i] = bottom - top;
+        }
+        LinearSamples {
+            value,
+            gradient,
+            sigma,
+        }
     }
 }
 

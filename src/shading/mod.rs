@@ -15,6 +15,6 @@ mod tukey;
 pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
 pub use gloss::{Gloss, Highlight};
-pub use light::NearLight;
-pub use linear::{LinearImage, linearise, without_ambient};
+pub use light::{LightTable, NearLight};
+pub use linear::{LinearImage, LinearSamples, linearise, without_ambient};
 pub use tukey::{Tukey, median, median_absolute_deviation};

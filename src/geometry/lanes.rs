@@ -1,6 +1,6 @@
 //! Numbers that a kernel works on together, and roundings that become vector code.
 //!
-//! The kernels of this module's siblings are plain loops over arrays, which the compiler turns into vector code once for
+//! The kernels are plain loops over arrays, which the compiler turns into vector code once for
 //! each instruction set that [`pulp::Arch`] knows; the processor's own is chosen at run time. Every operation is one of
 //! IEEE 754 and none is fused or reordered, so that all of them give the same bits.
 

@@ -3,7 +3,7 @@
 use super::lanes::{MAX_ROUNDED, round, round_bits};
 use crate::geometry::CameraModel;
 
-/// [`CameraModel::project`] in single precision, rounded to the nearest pixel; off by 10⁻⁴ pixels at most.
+/// [`CameraModel::project`] in single precision; off by 10⁻⁴ pixels at most.
 #[derive(Clone, Copy, Debug)]
 pub struct Lens {
     focal: [f32; 2],
@@ -40,17 +40,25 @@ impl Lens {
 
     /// Row-major index of the pixel nearest to a point in the camera frame (m); the number of pixels where there is none.
     #[inline(always)]
-    pub fn pixel_index(&self, [x, y, z]: [f32; 3]) -> u32 {
+    pub fn pixel_index(&self, point: [f32; 3]) -> u32 {
+        let Projected { u, v, is_there } = self.project(point);
+        let index = self.nearest_index(u, v);
+        if is_there { index } else { self.n_pixels }
+    }
+
+    /// Where a point in the camera frame (m) falls.
+    #[inline(always)]
+    pub fn project(&self, [x, y, z]: [f32; 3]) -> Projected {
         let inv_z = 1.0 / z;
         let (x, y) = (x * inv_z, y * inv_z);
         let Distorted {
             x: xd, y: yd, r2, ..
         } = self.distort(x, y);
-        let u = self.focal[0] * xd + self.centre[0];
-        let v = self.focal[1] * yd + self.centre[1];
-        let index = self.nearest_index(u, v);
-        let projects = (z > 1e-6) & (r2 <= self.max_radius_squared);
-        if projects { index } else { self.n_pixels }
+        Projected {
+            u: self.focal[0] * xd + self.centre[0],
+            v: self.focal[1] * yd + self.centre[1],
+            is_there: (z > 1e-6) & (r2 <= self.max_radius_squared),
+        }
     }
 
     /// The Brown–Conrady polynomial.
@@ -114,6 +122,17 @@ impl Lens {
             projects: (z > 1e-6) & (r2 <= self.max_radius_squared),
         }
     }
+}
+
+/// Where a point falls, pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct Projected {
+    /// Column.
+    pub u: f32,
+    /// Row.
+    pub v: f32,
+    /// Whether the point lies in front of the camera and within the lens; the place means nothing otherwise.
+    pub is_there: bool,
 }
 
 /// A ray X/Z, Y/Z after the lens.

@@ -1,0 +1,432 @@
+//! A view that looks at many points: which of them it sees, and what it shows there.
+//!
+//! In single precision, [`LANES`] points at a time. Places on the image are right to 10⁻⁴ pixels, intensities and light to 10⁻⁶ of
+//! themselves.
+
+use super::view::{Look, View};
+use crate::geometry::lanes::{LANES, Lane, floor};
+use crate::geometry::{Lens, Pose, Projected};
+use depth_camera::Image;
+use nalgebra::{Point3, Vector2, Vector3};
+use pulp::{Arch, Simd, WithSimd};
+
+/// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
+const HIDDEN_BEYOND_M: f32 = 0.004;
+/// Cosines of incidence below this are grazing, at the camera and at the light.
+const MIN_COSINE: f32 = 0.25;
+/// Pixels from a depth buffer's rim within which nothing is known to hide a point or not.
+const RIM_PX: f32 = 2.0;
+
+/// A view as it looks from where it is.
+pub struct Gaze<'a> {
+    view: &'a View,
+    arch: Arch,
+    tracked: Rigid,
+    refined: Rigid,
+}
+
+/// A rigid motion in single precision.
+#[derive(Clone, Copy)]
+struct Rigid {
+    rows: [[f32; 3]; 3],
+    shift: [f32; 3],
+}
+
+impl Rigid {
+    fn new(pose: &Pose) -> Self {
+        let rotation = pose.rotation.to_rotation_matrix();
+        let row = |k: usize| rotation.matrix().row(k).transpose().cast::<f32>().into();
+        Rigid {
+            rows: [row(0), row(1), row(2)],
+            shift: pose.translation.vector.cast::<f32>().into(),
+        }
+    }
+
+    #[inline(always)]
+    fn point(&self, p: [f32; 3]) -> [f32; 3] {
+        let [x, y, z] = self.turn(p);
+        [x + self.shift[0], y + self.shift[1], z + self.shift[2]]
+    }
+
+    #[inline(always)]
+    fn turn(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+        self.rows.map(|[a, b, c]| a * x + b * y + c * z)
+    }
+
+    /// The other way.
+    #[inline(always)]
+    fn turn_back(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+        let [a, b, c] = &self.rows;
+        [0, 1, 2].map(|k| a[k] * x + b[k] * y + c[k] * z)
+    }
+}
+
+/// Points or vectors, by axis.
+pub type Lanes3 = [Lane; 3];
+
+/// What a view shows at some points.
+pub struct Looks {
+    /// Whether the point lies in the image; the rest means nothing otherwise.
+    pub is_inside: [bool; LANES],
+    /// Place on the image, pixels.
+    pub pixel: [Lane; 2],
+    /// Observed linear intensity; NaN where a pixel is unusable.
+    pub observed: Lane,
+    /// Its gradient, per pixel.
+    pub gradient: [Lane; 2],
+    /// Its standard deviation.
+    pub sigma: Lane,
+    /// `gain · field`.
+    pub gain: Lane,
+    /// The point in the camera frame, metres.
+    pub point: Lanes3,
+    /// What arrives from the light, and over other surfaces, camera frame.
+    pub direct: Lanes3,
+    /// Over other surfaces.
+    pub indirect: Lanes3,
+}
+
+impl Looks {
+    /// One of them; `None` where the point lies outside the image.
+    #[inline]
+    pub fn get(&self, lane: usize) -> Option<Look> {
+        let vector = |of: &Lanes3| Vector3::from([0, 1, 2].map(|axis| f64::from(of[axis][lane])));
+        self.is_inside[lane].then(|| Look {
+            observed: f64::from(self.observed[lane]),
+            gradient: self.gradient.map(|of| f64::from(of[lane])),
+            sigma: f64::from(self.sigma[lane]),
+            pixel: Vector2::from(self.pixel.map(|of| f64::from(of[lane]))),
+            gain: f64::from(self.gain[lane]),
+            point_camera: Point3::from(vector(&self.point)),
+            direct: vector(&self.direct),
+            indirect: vector(&self.indirect),
+        })
+    }
+}
+
+/// What the solver needs of some points in a view, per standard deviation of what was observed, world frame.
+pub struct Weighed {
+    /// Observed linear intensity; NaN where there is none.
+    pub observed: Lane,
+    /// What arrives, gloss among it.
+    pub light: Lanes3,
+    /// Pixels that a square metre covers, by the unit normal.
+    pub pixels_per_m2: Lanes3,
+}
+
+impl<'a> Gaze<'a> {
+    /// How a view looks.
+    pub fn new(view: &'a View) -> Self {
+        Gaze {
+            view,
+            arch: Arch::new(),
+            tracked: Rigid::new(&view.tracked_camera_from_world),
+            refined: Rigid::new(&view.camera_from_world),
+        }
+    }
+
+    /// Whether the view sees points (world frame, metres) of a surface with these normals well enough to learn from: unhidden from
+    /// camera and light, not grazing, and their pixels usable.
+    pub fn sees(&self, points: &Lanes3, normals: &Lanes3) -> [bool; LANES] {
+        self.arch.dispatch(See {
+            gaze: self,
+            points,
+            normals,
+        })
+    }
+
+    /// What the view shows at points (world frame, metres).
+    pub fn looks(&self, points: &Lanes3) -> Looks {
+        self.arch.dispatch(LookAt { gaze: self, points })
+    }
+
+    /// The same as the solver needs it; the normals count on a glossy surface alone.
+    pub fn weighed(&self, points: &Lanes3, normals: &Lanes3) -> Weighed {
+        self.arch.dispatch(Weigh {
+            gaze: self,
+            points,
+            normals,
+        })
+    }
+
+    /// Whether [`Self::weighed`] looks at normals.
+    pub fn needs_normals(&self) -> bool {
+        self.view.is_glossy()
+    }
+
+    /// Calls `each` with the number of every point (world frame, metres) in the image and what the view shows there.
+    pub fn each<'p>(
+        &self,
+        points: impl Iterator<Item = &'p Point3<f64>>,
+        mut each: impl FnMut(usize, &Look),
+    ) {
+        let (mut lanes, mut n) = ([[0.0; LANES]; 3], 0);
+        let mut flush = |lanes: &Lanes3, first: usize, n: usize| {
+            let looks = self.looks(lanes);
+            for lane in 0..n {
+                if let Some(look) = looks.get(lane) {
+                    each(first + lane, &look);
+                }
+            }
+        };
+        for point in points {
+            set_lane(&mut lanes, n % LANES, &point.coords);
+            n += 1;
+            if n % LANES == 0 {
+                flush(&lanes, n - LANES, LANES);
+            }
+        }
+        flush(&lanes, n - n % LANES, n % LANES);
+    }
+
+    #[inline(always)]
+    fn sees_lanes(&self, points: &Lanes3, normals: &Lanes3) -> [bool; LANES] {
+        // Hiding is judged where the tracker put the camera, since the buffers were rendered from there.
+        let view = self.view;
+        let light: [f32; 3] = view.light().position.coords.cast::<f32>().into();
+        let (mut seen, mut place) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let mut from_light = [[0.0; LANES]; 3];
+        let mut is_seen = [false; LANES];
+        for i in 0..LANES {
+            let point = [0, 1, 2].map(|axis| points[axis][i]);
+            let p = self.tracked.point(point);
+            let normal = self.tracked.turn([0, 1, 2].map(|axis| normals[axis][i]));
+            let q = [0, 1, 2].map(|axis| p[axis] - light[axis]);
+            is_seen[i] = is_facing(&normal, &p) & is_facing(&normal, &q);
+            let refined = self.refined.point(point);
+            for axis in 0..3 {
+                seen[axis][i] = p[axis];
+                from_light[axis][i] = q[axis];
+                place[axis][i] = refined[axis];
+            }
+        }
+        keep_unhidden(view.lens(), view.camera_depth_m(), &seen, &mut is_seen);
+        keep_unhidden(
+            view.light_lens(),
+            view.light_depth_m(),
+            &from_light,
+            &mut is_seen,
+        );
+        let (pixel, is_inside) = pixels(view.lens(), &place);
+        let shown = &view.linear().value;
+        let (width, first) = (shown.width(), firsts(shown, &pixel));
+        for i in 0..LANES {
+            if is_seen[i] {
+                let (at, below) = (first[i], first[i] + width);
+                let corners = [at, at + 1, below, below + 1].map(|k| shown.data()[k]);
+                is_seen[i] = is_inside[i] && corners.iter().all(|value| !value.is_nan());
+            }
+        }
+        is_seen
+    }
+
+    #[inline(always)]
+    fn looks_lanes(&self, points: &Lanes3) -> Looks {
+        let (view, trust) = (self.view, self.view.trust());
+        let mut point = [[0.0; LANES]; 3];
+        for i in 0..LANES {
+            let p = self.refined.point([0, 1, 2].map(|axis| points[axis][i]));
+            for axis in 0..3 {
+                point[axis][i] = p[axis];
+            }
+        }
+        let (pixel, is_inside) = pixels(view.lens(), &point);
+        let [u, v] = &pixel;
+        let shown = view.linear().samples(u, v);
+        let mut gain = view.gain_field.at_lanes(u, v);
+        let indirect = view.white.map(|white| view.indirect().at(u, v, white));
+        let whole = view.gain as f32;
+        let (model, place) = (trust.model_error as f32, trust.misregistration_px as f32);
+        let mut sigma = [0.0; LANES];
+        for i in 0..LANES {
+            let [du, dv] = [shown.gradient[0][i], shown.gradient[1][i]];
+            let [noise, model] = [shown.sigma[i], model * shown.value[i]];
+            let misplaced = place * place * (du * du + dv * dv);
+            sigma[i] = (noise * noise + model * model + misplaced).sqrt();
+            gain[i] *= whole;
+        }
+        Looks {
+            is_inside,
+            pixel,
+            observed: shown.value,
+            gradient: shown.gradient,
+            sigma,
+            gain,
+            direct: view.light_table().incident(&point),
+            indirect: indirect.unwrap_or([[0.0; LANES]; 3]),
+            point,
+        }
+    }
+
+    #[inline(always)]
+    fn weighed_lanes(&self, points: &Lanes3, normals: &Lanes3) -> Weighed {
+        let looks = self.looks_lanes(points);
+        let mut arriving = looks.direct;
+        for (sum, indirect) in arriving.iter_mut().zip(&looks.indirect) {
+            for i in 0..LANES {
+                sum[i] += indirect[i];
+            }
+        }
+        if self.view.is_glossy() {
+            self.add_gloss(&looks, normals, &mut arriving);
+        }
+        let mut weighed = Weighed {
+            observed: [f32::NAN; LANES],
+            light: [[0.0; LANES]; 3],
+            pixels_per_m2: [[0.0; LANES]; 3],
+        };
+        let pixels_per_sr = self.view.pixels_per_sr() as f32;
+        for i in 0..LANES {
+            let inv_sigma = 1.0 / looks.sigma[i];
+            let [x, y, z] = [0, 1, 2].map(|axis| looks.point[axis][i]);
+            let distance = (x * x + y * y + z * z).sqrt();
+            let per_m2 = -pixels_per_sr / (distance * z * z);
+            let scale = looks.gain[i] * inv_sigma;
+            let light = [0, 1, 2].map(|axis| arriving[axis][i] * scale);
+            let light = self.refined.turn_back(light);
+            let covered = self.refined.turn_back([x * per_m2, y * per_m2, z * per_m2]);
+            for axis in 0..3 {
+                weighed.light[axis][i] = light[axis];
+                weighed.pixels_per_m2[axis][i] = covered[axis];
+            }
+            let observed = looks.observed[i] * inv_sigma;
+            weighed.observed[i] = if looks.is_inside[i] {
+                observed
+            } else {
+                f32::NAN
+            };
+        }
+        weighed
+    }
+
+    /// Adds what gloss sends, as light whose product with the normal has the highlight's value and slope.
+    fn add_gloss(&self, looks: &Looks, normals: &Lanes3, arriving: &mut Lanes3) {
+        for i in 0..LANES {
+            let normal = self.refined.turn([0, 1, 2].map(|axis| normals[axis][i]));
+            let normal = Vector3::from(normal).cast::<f64>();
+            let Some(look) = looks.get(i).filter(|_| normal != Vector3::zeros()) else {
+                continue;
+            };
+            let highlight = self.view.highlight(&look, &normal);
+            // The slope lies across the normal: value and slope are right there.
+            let sent = normal * highlight.value + highlight.by_normal;
+            for axis in 0..3 {
+                arriving[axis][i] += sent[axis] as f32;
+            }
+        }
+    }
+}
+
+/// Writes a vector into a lane.
+#[inline]
+pub fn set_lane(lanes: &mut Lanes3, lane: usize, value: &Vector3<f64>) {
+    for axis in 0..3 {
+        lanes[axis][lane] = value[axis] as f32;
+    }
+}
+
+/// Whether a surface faces back along the way to it, and not at a grazing angle.
+#[inline(always)]
+fn is_facing(normal: &[f32; 3], way: &[f32; 3]) -> bool {
+    let dot = |a: &[f32; 3], b: &[f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let cosine = -dot(normal, way);
+    (cosine > 0.0) & (cosine * cosine > MIN_COSINE * MIN_COSINE * dot(way, way))
+}
+
+/// Where points in the camera frame fall, and whether inside the image, so that four pixels lie round each; those that do not are
+/// put on the first pixel.
+#[inline(always)]
+fn pixels(lens: &Lens, points: &Lanes3) -> ([Lane; 2], [bool; LANES]) {
+    let [last_u, last_v] = lens.last();
+    let (mut pixels, mut is_inside) = ([[0.0; LANES]; 2], [false; LANES]);
+    for i in 0..LANES {
+        let Projected { u, v, is_there } = lens.project([points[0][i], points[1][i], points[2][i]]);
+        let inside = is_there & (u >= 0.0) & (v >= 0.0) & (u < last_u) & (v < last_v);
+        pixels[0][i] = if inside { u } else { 0.0 };
+        pixels[1][i] = if inside { v } else { 0.0 };
+        is_inside[i] = inside;
+    }
+    (pixels, is_inside)
+}
+
+/// Index of the first of the four pixels round each place inside an image.
+#[inline(always)]
+fn firsts(image: &Image<f32>, [u, v]: &[Lane; 2]) -> [usize; LANES] {
+    let width = image.width() as i32;
+    let mut first = [0; LANES];
+    for i in 0..LANES {
+        first[i] = floor(v[i]) * width + floor(u[i]);
+    }
+    first.map(|at| at as usize)
+}
+
+/// Keeps those points that lie on or before the surface of a depth buffer; of the four pixels round each the farthest counts,
+/// since the nearest may belong to another surface's rim.
+#[inline(always)]
+fn keep_unhidden(lens: &Lens, depth_m: &Image<f32>, points: &Lanes3, kept: &mut [bool; LANES]) {
+    let (pixel, is_inside) = pixels(lens, points);
+    let first = firsts(depth_m, &pixel);
+    let [last_u, last_v] = lens.last();
+    let (width, depths) = (depth_m.width(), depth_m.data());
+    for i in 0..LANES {
+        if !kept[i] {
+            continue;
+        }
+        let (u, v) = (pixel[0][i], pixel[1][i]);
+        let is_known = is_inside[i]
+            && u >= RIM_PX
+            && v >= RIM_PX
+            && u <= last_u - RIM_PX
+            && v <= last_v - RIM_PX;
+        let (at, below) = (first[i], first[i] + width);
+        let nearest = points[2][i] - HIDDEN_BEYOND_M;
+        kept[i] = is_known
+            && [at, at + 1, below, below + 1]
+                .iter()
+                .all(|&k| nearest < depths[k]);
+    }
+}
+
+struct See<'a> {
+    gaze: &'a Gaze<'a>,
+    points: &'a Lanes3,
+    normals: &'a Lanes3,
+}
+
+impl WithSimd for See<'_> {
+    type Output = [bool; LANES];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> [bool; LANES] {
+        self.gaze.sees_lanes(self.points, self.normals)
+    }
+}
+
+struct LookAt<'a> {
+    gaze: &'a Gaze<'a>,
+    points: &'a Lanes3,
+}
+
+impl WithSimd for LookAt<'_> {
+    type Output = Looks;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Looks {
+        self.gaze.looks_lanes(self.points)
+    }
+}
+
+struct Weigh<'a> {
+    gaze: &'a Gaze<'a>,
+    points: &'a Lanes3,
+    normals: &'a Lanes3,
+}
+
+impl WithSimd for Weigh<'_> {
+    type Output = Weighed;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Weighed {
+        self.gaze.weighed_lanes(self.points, self.normals)
+    }
+}
