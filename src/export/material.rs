@@ -1,6 +1,7 @@
 //! The grey material of the pictures, the two lights, and the sRGB curve.
 
 use nalgebra::Vector3;
+use std::sync::LazyLock;
 
 /// How a surface is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +62,11 @@ pub(super) fn shade(
 
 /// Linear share of full light of an sRGB code.
 pub(super) fn linear_from_srgb(code: u8) -> f64 {
-    let s = f64::from(code) / 255.0;
+    linear_from_fraction(f64::from(code) / 255.0)
+}
+
+/// The sRGB curve, IEC 61966-2-1.
+fn linear_from_fraction(s: f64) -> f64 {
     if s <= 0.04045 {
         s / 12.92
     } else {
@@ -69,15 +74,13 @@ pub(super) fn linear_from_srgb(code: u8) -> f64 {
     }
 }
 
+/// Linear share from which on a code is nearer than the one before it, for codes from 1.
+static CODE_STARTS: LazyLock<[f64; 255]> =
+    LazyLock::new(|| std::array::from_fn(|code| linear_from_fraction((code as f64 + 0.5) / 255.0)));
+
 /// The nearest sRGB code of a linear share of full light, which is cut at 0 and 1.
 pub(super) fn srgb_from_linear(linear: f64) -> u8 {
-    let x = linear.clamp(0.0, 1.0);
-    let s = if x <= 0.003_130_8 {
-        12.92 * x
-    } else {
-        1.055 * x.powf(1.0 / 2.4) - 0.055
-    };
-    (255.0 * s).round() as u8
+    CODE_STARTS.partition_point(|&start| start <= linear) as u8
 }
 
 #[cfg(test)]

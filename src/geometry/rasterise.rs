@@ -62,15 +62,25 @@ fn draw(buffer: &mut DepthBuffer, face: u32, corners: [(Vector2<f64>, f64); 3]) 
     if area == 0.0 {
         return;
     }
+    // Barycentric weights are linear on the image: their values at the first pixel, and slopes.
+    let first = Vector2::new(u0 as f64, v0 as f64);
+    let weight = |p: &Vector2<f64>, q: &Vector2<f64>| {
+        let along = (q - p) / area;
+        ((p - first).perp(&(q - first)) / area, -along.y, along.x)
+    };
+    let (weight_a, weight_b) = (weight(&b, &c), weight(&c, &a));
+    let inv_depth = [za, zb, zc].map(|z| 1.0 / z);
     for v in v0..=v1 {
         for u in u0..=u1 {
-            let p = Vector2::new(u as f64, v as f64);
-            let (wa, wb) = ((b - p).perp(&(c - p)) / area, (c - p).perp(&(a - p)) / area);
+            let (right, down) = ((u - u0) as f64, (v - v0) as f64);
+            let [wa, wb] =
+                [weight_a, weight_b].map(|(w, by_u, by_v)| w + by_u * right + by_v * down);
             let wc = 1.0 - wa - wb;
             if wa < 0.0 || wb < 0.0 || wc < 0.0 {
                 continue;
             }
-            let depth = (1.0 / (wa / za + wb / zb + wc / zc)) as f32;
+            let inv = wa * inv_depth[0] + wb * inv_depth[1] + wc * inv_depth[2];
+            let depth = (1.0 / inv) as f32;
             let pixel = v * width + u;
             if depth < buffer.depth_m.data()[pixel] {
                 buffer.depth_m.data_mut()[pixel] = depth;

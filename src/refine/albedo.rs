@@ -6,10 +6,10 @@
 //! This is where a round begins: `minimise` then moves the groups' albedos together with the surface.
 
 use super::clusters::Clusters;
-use super::energy::unit_normal;
 use super::expansion::Labelling;
 use super::mixture::{CORRELATED, Mixture};
 use super::observations::Observations;
+use super::sites::Sites;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
 use rayon::prelude::*;
@@ -68,13 +68,13 @@ impl Albedo {
     /// Estimates groups and their albedos; `current` gives the residuals whose outliers do not count. `None` where no facet
     /// is seen.
     pub fn estimate(
-        mesh: &TriMesh,
+        sites: &Sites,
         neighbours: &[[u32; 3]],
         observations: &Observations,
         groups: Groups,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
-        let ratios = ratios(mesh, observations, current);
+        let ratios = ratios(sites, observations, current);
         let logs: Vec<f64> = ratios.iter().map(|ratio| log_albedo(*ratio)).collect();
         let (n_groups, costs, pair_cost) = match groups.mode {
             AlbedoMode::Mixture => {
@@ -89,7 +89,7 @@ impl Albedo {
             }
             AlbedoMode::Paper => {
                 let own: Vec<f64> = logs.iter().map(|log| log.exp()).collect();
-                let clusters = Clusters::fit(mesh, &own, groups.at_most)?;
+                let clusters = Clusters::fit(&sites.points, &own, groups.at_most)?;
                 let cost = |face, group| clusters.cost(face, group);
                 let costs = costs(logs.len(), clusters.len(), cost);
                 (clusters.len(), costs, POTTS)
@@ -210,19 +210,16 @@ fn log_albedo((numerator, denominator): Ratio) -> f64 {
 
 /// The sums of each facet over the views that see it.
 fn ratios(
-    mesh: &TriMesh,
+    sites: &Sites,
     observations: &Observations,
     current: Option<(&Albedo, Tukey)>,
 ) -> Vec<Ratio> {
-    (0..mesh.faces.len())
+    (0..sites.points.len())
         .into_par_iter()
         .map(|face| {
-            let Some((normal, _)) = unit_normal(mesh, face) else {
-                return (0.0, 0.0);
-            };
             let mut sums = (0.0, 0.0);
             for seen in observations.of(face) {
-                let Some(s) = seen.unit_prediction(&normal) else {
+                let Some(s) = seen.unit_prediction(&sites.normals[face]) else {
                     continue;
                 };
                 let observed = f64::from(seen.observed);

@@ -4,10 +4,10 @@
 //! A view's parameters are a turn about the object's centre, a shift, and the logarithm of its gain. About that centre a turn
 //! and a shift move pixels in different ways, so that both are determined.
 
-use super::energy::unit_normal;
 use super::gaze::Gaze;
+use super::sites::Sites;
 use super::view::{Sample, View};
-use crate::geometry::{Pose, TriMesh, increment};
+use crate::geometry::{Pose, increment};
 use crate::shading::Tukey;
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
@@ -43,10 +43,8 @@ impl Default for AlignmentParams {
 
 /// The surface as alignment sees it.
 pub struct AlignmentTarget<'a> {
-    /// The mesh.
-    pub mesh: &'a TriMesh,
-    /// Centroid of each face.
-    pub sites: &'a [Point3<f64>],
+    /// The sites of its mesh.
+    pub sites: &'a Sites,
     /// Faces to align by, of those that the view sees.
     pub faces: &'a [u32],
     /// How many sites each of them stands for.
@@ -62,13 +60,14 @@ pub struct AlignmentTarget<'a> {
 impl AlignmentTarget<'_> {
     /// Calls `each` with every face to align by that the view shows, its area (m²) and what it looks like.
     pub fn each_sample(&self, view: &View, mut each: impl FnMut(usize, f64, &Sample)) {
-        let points = self.faces.iter().map(|&face| &self.sites[face as usize]);
+        let points = self
+            .faces
+            .iter()
+            .map(|&face| &self.sites.points[face as usize]);
         Gaze::new(view).each(points, |index, look| {
             let face = self.faces[index] as usize;
-            if let Some((normal, area)) = unit_normal(self.mesh, face)
-                && let Some(sample) = view.sample(look, &normal)
-            {
-                each(face, area, &sample);
+            if let Some(sample) = view.sample(look, &self.sites.normals[face]) {
+                each(face, self.sites.areas_m2[face], &sample);
             }
         });
     }

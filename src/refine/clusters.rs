@@ -6,8 +6,7 @@
 //! times; a label costs its squared distance over twice the variance within the groups. It is there for comparison: the number
 //! of components says how many directions the features have, not how many materials there are.
 
-use crate::geometry::TriMesh;
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix4, Point3, Vector4};
 
 /// Facets grouped by position and albedo.
 pub struct Clusters {
@@ -28,11 +27,11 @@ const MAX_POINTS: usize = 20_000;
 const MAX_ITERATIONS: usize = 50;
 
 impl Clusters {
-    /// Groups the facets of a mesh by their albedos, of which those that are not finite do not count, into `max_groups` at most.
+    /// Groups facets by their centroids and albedos, of which those that are not finite do not count, into `max_groups` at most.
     /// `None` without any.
-    pub fn fit(mesh: &TriMesh, albedo: &[f64], max_groups: usize) -> Option<Clusters> {
+    pub fn fit(centroids: &[Point3<f64>], albedo: &[f64], max_groups: usize) -> Option<Clusters> {
         let seen = || (0..albedo.len()).filter(|&face| albedo[face].is_finite());
-        let raw = |face: usize| mesh.centroid(face).coords.push(albedo[face]);
+        let raw = |face: usize| centroids[face].coords.push(albedo[face]);
         let n = seen().count() as f64;
         if n == 0.0 {
             return None;
@@ -149,9 +148,16 @@ fn nearest<'a>(centres: &'a [Vector4<f64>], point: &Vector4<f64>) -> (usize, &'a
 mod tests {
     use super::super::scenes::RippledPlane;
     use super::*;
+    use crate::geometry::TriMesh;
+
+    fn centroids(mesh: &TriMesh) -> Vec<Point3<f64>> {
+        (0..mesh.faces.len())
+            .map(|face| mesh.centroid(face))
+            .collect()
+    }
 
     /// A plane whose albedo is a step at its middle, with a little noise.
-    fn halves() -> (TriMesh, Vec<f64>) {
+    fn halves() -> (Vec<Point3<f64>>, Vec<f64>) {
         let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(0.002);
         let albedo = (0..mesh.faces.len())
             .map(|face| {
@@ -164,14 +170,14 @@ mod tests {
                     }
             })
             .collect();
-        (mesh, albedo)
+        (centroids(&mesh), albedo)
     }
 
     #[test]
     fn two_albedos_fall_into_groups_of_their_own() {
-        let (mesh, mut albedo) = halves();
+        let (centroids, mut albedo) = halves();
         albedo[7] = f64::NAN;
-        let clusters = Clusters::fit(&mesh, &albedo, 4).unwrap();
+        let clusters = Clusters::fit(&centroids, &albedo, 4).unwrap();
         assert!(clusters.len() >= 2);
         assert_eq!(
             (0..clusters.len())
@@ -200,6 +206,6 @@ mod tests {
     #[test]
     fn nothing_seen_gives_no_groups() {
         let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(0.01);
-        assert!(Clusters::fit(&mesh, &vec![f64::NAN; mesh.faces.len()], 4).is_none());
+        assert!(Clusters::fit(&centroids(&mesh), &vec![f64::NAN; mesh.faces.len()], 4).is_none());
     }
 }

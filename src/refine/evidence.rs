@@ -100,11 +100,11 @@ impl Rounds<'_> {
             views,
             albedo,
         } = state;
-        let observations = Observations::new(&surface.mesh, sites, views);
+        let observations = Observations::new(sites, views);
         let problem = Problem {
             observations: &observations,
             labels: &albedo.labels,
-            loss: final_loss(observations.residual_scale(&surface.mesh, &albedo.by_face)),
+            loss: final_loss(observations.residual_scale(sites, &albedo.by_face)),
             priors: self.prior_weights(),
             edges: &self.level.edges,
             patches: &self.level.patches,

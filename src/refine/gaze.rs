@@ -149,11 +149,6 @@ impl<'a> Gaze<'a> {
         })
     }
 
-    /// Whether [`Self::weighed`] looks at normals.
-    pub fn needs_normals(&self) -> bool {
-        self.view.is_glossy()
-    }
-
     /// Calls `each` with the number of every point (world frame, metres) in the image and what the view shows there.
     pub fn each<'p>(
         &self,

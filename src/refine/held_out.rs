@@ -7,7 +7,7 @@
 use super::albedo::Albedo;
 use super::rendering::render;
 use super::rounds::{Rounds, State};
-use super::sites::{Sites, ViewSet};
+use super::sites::ViewSet;
 use super::view::View;
 use crate::geometry::TriMesh;
 use depth_camera::Image;
@@ -141,8 +141,7 @@ fn settle_and_render(
     albedo: &Albedo,
     view: &mut View,
 ) -> Image<f32> {
-    rounds.settle(view, mesh, &albedo.by_face);
-    let sites = Sites::new(mesh, std::slice::from_ref(view), 1);
+    let sites = rounds.settle(view, mesh, &albedo.by_face);
     render(view, mesh, (&sites, 0), &albedo.by_face)
 }
 

@@ -174,7 +174,7 @@ pub fn refine(
         status = prepared.run(last, all, &mut state, &mut accepted);
     }
     let sites = Sites::new(&state.surface.mesh, &state.views, all);
-    let errors = sites.view_errors(&state.surface.mesh, &state.views, &state.albedo.by_face);
+    let errors = sites.view_errors(&state.views, &state.albedo.by_face);
     let views = view_fits(&state.views, prepared.centre(), &errors_before, &errors);
     let rmse = over_all(&views, |view| view.rmse_after);
     if rmse > MAX_BELIEVABLE_RMSE {

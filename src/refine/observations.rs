@@ -3,11 +3,9 @@
 //! Within a solve pixel, distance and light are held (Sec. 4.3) and only the normals move, so that each image is sampled once
 //! and a residual costs a scalar product.
 
-use super::energy::unit_normal;
 use super::gaze::{Gaze, Lanes3, Weighed, set_lane};
 use super::sites::Sites;
 use super::view::View;
-use crate::geometry::TriMesh;
 use crate::geometry::lanes::LANES;
 use crate::shading::median_absolute_deviation;
 use nalgebra::Vector3;
@@ -77,9 +75,8 @@ impl Observation {
 
 /// The observations of all sites.
 pub struct Observations {
-    /// Where the observations of each face begin; one more than faces.
-    starts: Vec<u32>,
-    entries: Vec<Observation>,
+    /// Of [`TILE`] faces each.
+    tiles: Vec<Tile>,
 }
 
 /// Sites looked at for the scale of the residuals: every so many.
@@ -89,55 +86,43 @@ const TILE: usize = 2048;
 
 impl Observations {
     /// Samples every view at the sites that it sees.
-    pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
-        Self::every(1, mesh, sites, views)
+    pub fn new(sites: &Sites, views: &[View]) -> Observations {
+        Self::every(1, sites, views)
     }
 
     /// As [`Self::new`], for what [`Self::residual_scale`] looks at alone.
-    pub fn for_scale(mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
-        Self::every(SCALE_STRIDE, mesh, sites, views)
+    pub fn for_scale(sites: &Sites, views: &[View]) -> Observations {
+        Self::every(SCALE_STRIDE, sites, views)
     }
 
-    fn every(stride: usize, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Observations {
+    fn every(stride: usize, sites: &Sites, views: &[View]) -> Observations {
         let n_faces = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
-        let tiles: Vec<Tile> = (0..n_faces.div_ceil(TILE))
-            .into_par_iter()
-            .map(|tile| {
-                let faces = tile * TILE..((tile + 1) * TILE).min(n_faces);
-                Tile::new(faces, stride, mesh, sites, &gazes)
-            })
-            .collect();
-        let mut starts = Vec::with_capacity(n_faces + 1);
-        starts.push(0);
-        let mut end = 0;
-        for count in tiles.iter().flat_map(|tile| &tile.counts) {
-            end += count;
-            starts.push(end);
+        let tiles = (0..n_faces.div_ceil(TILE)).into_par_iter().map(|tile| {
+            let faces = tile * TILE..((tile + 1) * TILE).min(n_faces);
+            Tile::new(faces, stride, sites, &gazes)
+        });
+        Observations {
+            tiles: tiles.collect(),
         }
-        let mut entries = Vec::with_capacity(end as usize);
-        // Each tile is freed as soon as it is taken over.
-        for tile in tiles {
-            entries.extend(tile.entries.into_iter().filter(Observation::is_there));
-        }
-        Observations { starts, entries }
     }
 
     /// The observations of a face, in the order of the views.
     #[inline]
     pub fn of(&self, face: usize) -> &[Observation] {
-        &self.entries[self.starts[face] as usize..self.starts[face + 1] as usize]
+        let Tile { starts, entries } = &self.tiles[face / TILE];
+        let face = face % TILE;
+        &entries[starts[face] as usize..starts[face + 1] as usize]
     }
 
     /// Robust standard deviation of all residuals, in sigmas, at least 1: [`median_absolute_deviation`].
-    pub fn residual_scale(&self, mesh: &TriMesh, albedo: &[f64]) -> f64 {
-        let mut magnitudes: Vec<f64> = (0..mesh.faces.len())
+    pub fn residual_scale(&self, sites: &Sites, albedo: &[f64]) -> f64 {
+        let mut magnitudes: Vec<f64> = (0..sites.points.len())
             .into_par_iter()
             .step_by(SCALE_STRIDE)
             .flat_map_iter(|face| {
-                let normal = unit_normal(mesh, face).map(|(normal, _)| normal);
                 let seen = self.of(face).iter();
-                seen.filter_map(move |seen| seen.residual(&normal?, albedo[face]))
+                seen.filter_map(move |seen| seen.residual(&sites.normals[face], albedo[face]))
             })
             .collect();
         median_absolute_deviation(&mut magnitudes).max(1.0)
@@ -146,77 +131,70 @@ impl Observations {
 
 /// What the views show of some faces.
 struct Tile {
-    /// Observations of each face.
-    counts: Vec<u32>,
-    /// Face by face and in the order of the views, and among them those that are not there.
+    /// Where the observations of each face begin; one more than faces.
+    starts: Vec<u32>,
+    /// Face by face and in the order of the views.
     entries: Vec<Observation>,
 }
 
 impl Tile {
-    fn new(
-        faces: Range<usize>,
-        stride: usize,
-        mesh: &TriMesh,
-        sites: &Sites,
-        gazes: &[Gaze],
-    ) -> Tile {
+    fn new(faces: Range<usize>, stride: usize, sites: &Sites, gazes: &[Gaze]) -> Tile {
         let set_of = |face: usize| match face % stride {
             0 => sites.visible[face],
             _ => 0,
         };
-        let mut starts = Vec::with_capacity(faces.len());
+        let mut starts = vec![0; faces.len() + 1];
         let mut end = 0;
         for face in faces.clone() {
-            starts.push(end);
+            starts[face - faces.start] = end;
             end += set_of(face).count_ones();
         }
-        let mut tile = Tile {
-            counts: vec![0; faces.len()],
-            entries: vec![Observation::NONE; end as usize],
-        };
+        starts[faces.len()] = end;
+        let mut entries = vec![Observation::NONE; end as usize];
         // One view after the other, so that its image stays at hand.
         for (k, gaze) in gazes.iter().enumerate() {
             let seen = faces.clone().filter(|&face| set_of(face) >> k & 1 == 1);
-            let before = |face: usize| (set_of(face) & ((1 << k) - 1)).count_ones();
             let slots = seen.map(|face| {
-                let index = face - faces.start;
-                (face, index, (starts[index] + before(face)) as usize)
+                let before = (set_of(face) & ((1 << k) - 1)).count_ones();
+                (face, (starts[face - faces.start] + before) as usize)
             });
-            tile.observe(gaze, slots, mesh, sites);
+            observe(gaze, slots, sites, &mut entries);
         }
-        tile
+        let mut there = 0;
+        for start in 0..faces.len() {
+            let range = starts[start] as usize..starts[start + 1] as usize;
+            starts[start] = there;
+            let seen = entries[range].iter().filter(|entry| entry.is_there());
+            there += seen.count() as u32;
+        }
+        starts[faces.len()] = there;
+        entries.retain(Observation::is_there);
+        Tile { starts, entries }
     }
+}
 
-    /// Fills in what a view shows of faces, given with their numbers in the tile and the places of their observations.
-    fn observe(
-        &mut self,
-        gaze: &Gaze,
-        mut slots: impl Iterator<Item = (usize, usize, usize)>,
-        mesh: &TriMesh,
-        sites: &Sites,
-    ) {
-        let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-        loop {
-            let (mut to, mut n) = ([(0, 0); LANES], 0);
-            for (face, index, slot) in slots.by_ref().take(LANES) {
-                set_lane(&mut points, n, &sites.points[face].coords);
-                if gaze.needs_normals()
-                    && let Some((normal, _)) = unit_normal(mesh, face)
-                {
-                    set_lane(&mut normals, n, &normal);
-                }
-                to[n] = (index, slot);
-                n += 1;
-            }
-            if n == 0 {
-                return;
-            }
-            let weighed = gaze.weighed(&points, &normals);
-            for (lane, &(index, slot)) in to[..n].iter().enumerate() {
-                let seen = Observation::of_lane(&weighed, lane);
-                self.counts[index] += u32::from(seen.is_there());
-                self.entries[slot] = seen;
-            }
+/// Fills in what a view shows of faces, given with the places of their observations.
+fn observe(
+    gaze: &Gaze,
+    mut slots: impl Iterator<Item = (usize, usize)>,
+    sites: &Sites,
+    entries: &mut [Observation],
+) {
+    let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    loop {
+        let (mut to, mut n) = ([0; LANES], 0);
+        for (face, slot) in slots.by_ref().take(LANES) {
+            set_lane(&mut points, n, &sites.points[face].coords);
+            set_lane(&mut normals, n, &sites.normals[face]);
+            to[n] = slot;
+            n += 1;
+        }
+        if n == 0 {
+            return;
+        }
+        let weighed = gaze.weighed(&points, &normals);
+        for (lane, &slot) in to[..n].iter().enumerate() {
+            entries[slot] = Observation::of_lane(&weighed, lane);
         }
     }
 }

@@ -138,9 +138,9 @@ impl Preparation {
     ) -> Result<(State, Vec<ViewError>), RefineError> {
         let (mesh, views, sites) = (&self.levels[0].mesh, &self.views, &self.base_sites);
         let learnt = sites.only(learning);
-        let albedo = self.rounds(0).first_albedo(mesh, &learnt, views);
+        let albedo = self.rounds(0).first_albedo(&learnt, views);
         let albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
-        let errors = sites.view_errors(mesh, views, &albedo.by_face);
+        let errors = sites.view_errors(views, &albedo.by_face);
         let surface = Surface {
             directions: mesh.vertex_normals(),
             total_m: vec![0.0; mesh.vertices.len()],
@@ -288,7 +288,7 @@ fn ask(
         return Told::default();
     }
     let sites = Sites::new(mesh, views, first_views(views.len()));
-    told_by_images(mesh, &sites, views, optics, params, tolerance)
+    told_by_images(&sites, views, optics, params, tolerance)
 }
 
 /// What the images of a scan say against its calibration before its depth is corrected for good.

@@ -3,7 +3,6 @@
 //! A prediction sampled at pixel centres prefers surfaces that are too smooth, since the image is blurred by the pixels and
 //! the prediction is not. Here every pixel is the mean of the facets under it.
 
-use super::energy::unit_normal;
 use super::gaze::Gaze;
 use super::sites::Sites;
 use super::view::View;
@@ -26,11 +25,8 @@ pub fn render(
     let points = faces.iter().map(|&face| &sites.points[face as usize]);
     Gaze::new(view).each(points, |index, look| {
         let face = faces[index] as usize;
-        let prediction = unit_normal(mesh, face).and_then(|(normal, _)| {
-            let normal_camera = view.camera_from_world * normal;
-            view.unit_prediction(look, &normal_camera)
-        });
-        if let Some(unit) = prediction {
+        let normal_camera = view.camera_from_world * sites.normals[face];
+        if let Some(unit) = view.unit_prediction(look, &normal_camera) {
             by_face[face] = (albedo[face] * unit) as f32;
         }
     });

@@ -45,13 +45,13 @@ pub fn final_loss(scale: f64) -> Tukey {
 
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
-    pub fn first_albedo(&self, mesh: &TriMesh, sites: &Sites, views: &[View]) -> Option<Albedo> {
-        let observations = Observations::new(mesh, sites, views);
-        let mut albedo = self.estimate_albedo(mesh, &observations, None)?;
+    pub fn first_albedo(&self, sites: &Sites, views: &[View]) -> Option<Albedo> {
+        let observations = Observations::new(sites, views);
+        let mut albedo = self.estimate_albedo(sites, &observations, None)?;
         for _ in 0..3 {
-            let loss = final_loss(observations.residual_scale(mesh, &albedo.by_face));
+            let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
             let current = Some((&albedo, loss));
-            albedo = self.estimate_albedo(mesh, &observations, current)?;
+            albedo = self.estimate_albedo(sites, &observations, current)?;
         }
         Some(albedo)
     }
@@ -59,7 +59,7 @@ impl Rounds<'_> {
     /// Groups and albedos of a surface; `current` gives the residuals whose outliers do not count.
     pub fn estimate_albedo(
         &self,
-        mesh: &TriMesh,
+        sites: &Sites,
         observations: &Observations,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
@@ -67,7 +67,7 @@ impl Rounds<'_> {
             mode: self.params.albedo.mode,
             at_most: self.params.max_albedos,
         };
-        Albedo::estimate(mesh, &self.level.neighbours, observations, groups, current)
+        Albedo::estimate(sites, &self.level.neighbours, observations, groups, current)
     }
 
     /// Runs a round with a set of views, on its surface's sites that they see; the others are left as they are. `accepted` is told of
@@ -94,17 +94,17 @@ impl Rounds<'_> {
         };
         let mesh = &surface.mesh;
         let loss_of = |observations: &Observations, albedo: &Albedo| Tukey {
-            scale: observations.residual_scale(mesh, &albedo.by_face),
+            scale: observations.residual_scale(sites, &albedo.by_face),
             cutoff,
         };
-        let loss = loss_of(&Observations::for_scale(mesh, sites, views), albedo);
+        let loss = loss_of(&Observations::for_scale(sites, views), albedo);
         self.align(mesh, sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let observations = Observations::new(mesh, sites, views);
+        let observations = Observations::new(sites, views);
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
-        if let Some(next) = self.estimate_albedo(mesh, &observations, current) {
+        if let Some(next) = self.estimate_albedo(sites, &observations, current) {
             *albedo = next;
         }
         let problem = Problem {
@@ -139,19 +139,19 @@ impl Rounds<'_> {
         prior_weights(self.params, self.level.edge_length_m)
     }
 
-    /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held.
-    pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &[f64]) {
+    /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held. Returns the
+    /// surface's sites with those that the view alone sees.
+    pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &[f64]) -> Sites {
         let alone = std::slice::from_ref(view);
         let sites = Sites::new(mesh, alone, 1);
         let (faces, stands_for) = sites_to_align_by(sites.faces_of(0));
         let centre = centre_of(mesh);
         for cutoff in CUTOFFS {
-            let observations = Observations::for_scale(mesh, &sites, std::slice::from_ref(view));
-            let scale = observations.residual_scale(mesh, albedo);
+            let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
+            let scale = observations.residual_scale(&sites, albedo);
             let loss = Tukey { scale, cutoff };
             let target = AlignmentTarget {
-                mesh,
-                sites: &sites.points,
+                sites: &sites,
                 faces: &faces,
                 stands_for,
                 albedo,
@@ -161,6 +161,7 @@ impl Rounds<'_> {
             align_view(view, &target, &self.params.alignment);
             fit_gain_field(view, &target);
         }
+        sites
     }
 
     /// Aligns the views and takes up what slow differences of brightness they then have.
@@ -176,8 +177,7 @@ impl Rounds<'_> {
         views.par_iter_mut().enumerate().for_each(|(k, view)| {
             let (faces, stands_for) = sites_to_align_by(sites.faces_of(k));
             let target = AlignmentTarget {
-                mesh,
-                sites: &sites.points,
+                sites,
                 faces: &faces,
                 stands_for,
                 albedo: &albedo.by_face,

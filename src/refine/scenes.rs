@@ -263,7 +263,7 @@ pub fn solved_from_plane(
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let params = RefineParams::default();
     let problem = Problem {
-        observations: &Observations::new(&surface.mesh, &sites, &views),
+        observations: &Observations::new(&sites, &views),
         labels: &vec![0; surface.mesh.faces.len()],
         loss: final_loss(3.0),
         priors: prior_weights(&params, spacing_m),

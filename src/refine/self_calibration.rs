@@ -11,12 +11,10 @@
 //! Not told: the light's place along the optical axis, which is nearly one with gamma, and the flat field, which is nearly one
 //! with the lobe.
 
-use super::energy::unit_normal;
 use super::gaze::Gaze;
 use super::optics::Optics;
 use super::sites::Sites;
 use super::view::View;
-use crate::geometry::TriMesh;
 use crate::shading::{Calibration, Gloss, NearLight, Tukey, median, median_absolute_deviation};
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3};
 use rayon::prelude::*;
@@ -155,9 +153,8 @@ pub struct Told {
     pub gloss: Gloss,
 }
 
-/// What the images tell of response, light and gloss from a surface, whose `sites` the views see.
+/// What the images tell of response, light and gloss from the `sites` of a surface that the views see.
 pub fn told_by_images(
-    mesh: &TriMesh,
     sites: &Sites,
     views: &[View],
     optics: &Optics,
@@ -165,7 +162,7 @@ pub fn told_by_images(
     tolerance: Tolerance,
 ) -> Told {
     let believed = optics.calibration;
-    let mut patches = LitPatch::all(mesh, sites, views, optics);
+    let mut patches = LitPatch::all(sites, views, optics);
     if patches.len() < MIN_PATCHES {
         return Told::default();
     }
@@ -258,8 +255,8 @@ struct LitPatch {
 
 impl LitPatch {
     /// Cuts what the views see of a surface into patches.
-    fn all(mesh: &TriMesh, sites: &Sites, views: &[View], optics: &Optics) -> Vec<LitPatch> {
-        let facet_m2 = mesh.area_m2() / mesh.faces.len().max(1) as f64;
+    fn all(sites: &Sites, views: &[View], optics: &Optics) -> Vec<LitPatch> {
+        let facet_m2 = sites.areas_m2.iter().sum::<f64>() / sites.points.len().max(1) as f64;
         let side_m = (FACETS * facet_m2).sqrt().max(PATCH_M);
         let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
         for (face, point) in sites.points.iter().enumerate() {
@@ -269,20 +266,15 @@ impl LitPatch {
             }
         }
         let cells: Vec<Vec<u32>> = cells.into_values().collect();
-        let patch = |faces: &Vec<u32>| LitPatch::new(faces, mesh, sites, views, optics);
+        let patch = |faces: &Vec<u32>| LitPatch::new(faces, sites, views, optics);
         cells.par_iter().filter_map(patch).collect()
     }
 
-    fn new(
-        faces: &[u32],
-        mesh: &TriMesh,
-        sites: &Sites,
-        views: &[View],
-        optics: &Optics,
-    ) -> Option<LitPatch> {
+    fn new(faces: &[u32], sites: &Sites, views: &[View], optics: &Optics) -> Option<LitPatch> {
         let facets = faces.iter().filter_map(|&face| {
-            let (normal, area) = unit_normal(mesh, face as usize)?;
-            Some((face as usize, normal, area))
+            let face = face as usize;
+            let area = sites.areas_m2[face];
+            (area > 0.0).then(|| (face, sites.normals[face], area))
         });
         let facets: Vec<(usize, Vector3<f64>, f64)> = facets.collect();
         let area_m2: f64 = facets.iter().map(|(_, _, area)| area).sum();

@@ -12,6 +12,10 @@ use rayon::prelude::*;
 pub struct Sites {
     /// Centroid of each face.
     pub points: Vec<Point3<f64>>,
+    /// Unit normal of each face; zero where it has no area.
+    pub normals: Vec<Vector3<f64>>,
+    /// Area of each face, m².
+    pub areas_m2: Vec<f64>,
     /// Bit k of a face is set where view k sees it.
     pub visible: Vec<ViewSet>,
 }
@@ -30,40 +34,57 @@ pub type ViewSet = u64;
 impl Sites {
     /// Finds the sites of a mesh and who of a set of views sees them.
     pub fn new(mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
-        let points: Vec<Point3<f64>> = (0..mesh.faces.len())
-            .map(|face| mesh.centroid(face))
-            .collect();
+        let mut sites = Sites::unseen(mesh);
+        let Sites {
+            points,
+            normals,
+            visible,
+            ..
+        } = &mut sites;
         let gazes: Vec<(usize, Gaze)> = views
             .iter()
             .enumerate()
             .filter(|(k, _)| set >> k & 1 == 1)
             .map(|(k, view)| (k, Gaze::new(view)))
             .collect();
-        let mut visible = vec![0; points.len()];
-        let tiles = visible.par_chunks_mut(LANES).zip(points.par_chunks(LANES));
-        tiles.enumerate().for_each(|(tile, (visible, points))| {
-            let (mut places, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-            for (lane, point) in points.iter().enumerate() {
-                // A face without a normal faces nobody.
-                let normal = unit_normal(mesh, tile * LANES + lane);
-                let normal = normal.map_or_else(Vector3::zeros, |(normal, _)| normal);
+        let places = points.par_chunks(LANES).zip(normals.par_chunks(LANES));
+        let tiles = visible.par_chunks_mut(LANES).zip(places);
+        tiles.for_each(|(visible, (points, normals))| {
+            let (mut places, mut directions) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+            for (lane, (point, normal)) in points.iter().zip(normals).enumerate() {
                 set_lane(&mut places, lane, &point.coords);
-                set_lane(&mut normals, lane, &normal);
+                set_lane(&mut directions, lane, normal);
             }
             for (k, gaze) in &gazes {
-                let is_seen = gaze.sees(&places, &normals);
+                let is_seen = gaze.sees(&places, &directions);
                 for (set, is_seen) in visible.iter_mut().zip(is_seen) {
                     *set |= ViewSet::from(is_seen) << k;
                 }
             }
         });
-        Sites { points, visible }
+        sites
+    }
+
+    /// The sites of a mesh that nobody looks at.
+    fn unseen(mesh: &TriMesh) -> Sites {
+        let n_faces = mesh.faces.len();
+        let faces = (0..n_faces).into_par_iter();
+        let of_face = |face| unit_normal(mesh, face).unwrap_or((Vector3::zeros(), 0.0));
+        let (normals, areas_m2) = faces.clone().map(of_face).unzip();
+        Sites {
+            points: faces.map(|face| mesh.centroid(face)).collect(),
+            normals,
+            areas_m2,
+            visible: vec![0; n_faces],
+        }
     }
 
     /// The same sites, seen by a set of views alone.
     pub fn only(&self, set: ViewSet) -> Sites {
         Sites {
             points: self.points.clone(),
+            normals: self.normals.clone(),
+            areas_m2: self.areas_m2.clone(),
             visible: self.visible.iter().map(|visible| visible & set).collect(),
         }
     }
@@ -76,7 +97,7 @@ impl Sites {
     }
 
     /// Rendered against observed linear intensity, by view.
-    pub fn view_errors(&self, mesh: &TriMesh, views: &[View], albedo: &[f64]) -> Vec<ViewError> {
+    pub fn view_errors(&self, views: &[View], albedo: &[f64]) -> Vec<ViewError> {
         views
             .par_iter()
             .enumerate()
@@ -86,9 +107,7 @@ impl Sites {
                 let points = faces.iter().map(|&face| &self.points[face as usize]);
                 Gaze::new(view).each(points, |index, look| {
                     let face = faces[index] as usize;
-                    let sample =
-                        unit_normal(mesh, face).and_then(|(normal, _)| view.sample(look, &normal));
-                    if let Some(sample) = sample {
+                    if let Some(sample) = view.sample(look, &self.normals[face]) {
                         let error = look.observed - albedo[face] * sample.unit_prediction;
                         square += error * error;
                         sum += look.observed;

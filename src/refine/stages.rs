@@ -44,8 +44,8 @@ impl Stages {
         prepared.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();
         let sites = Sites::new(&state.surface.mesh, &state.views, learning);
-        let observations = Observations::new(&state.surface.mesh, &sites, &state.views);
-        let scale = observations.residual_scale(&state.surface.mesh, &state.albedo.by_face);
+        let observations = Observations::new(&sites, &state.views);
+        let scale = observations.residual_scale(&sites, &state.albedo.by_face);
         Ok(Stages {
             prepared,
             state,
@@ -73,9 +73,8 @@ impl Stages {
 
     /// Samples every image at every facet that it sees; returns the robust scale of the residuals, in sigmas.
     pub fn observe(&self) -> f64 {
-        let observations =
-            Observations::new(&self.state.surface.mesh, &self.sites, &self.state.views);
-        observations.residual_scale(&self.state.surface.mesh, &self.state.albedo.by_face)
+        let observations = Observations::new(&self.sites, &self.state.views);
+        observations.residual_scale(&self.sites, &self.state.albedo.by_face)
     }
 
     /// Estimates groups and albedos anew; returns the groups' albedos.
@@ -83,7 +82,7 @@ impl Stages {
         let current = Some((&self.state.albedo, self.loss));
         let rounds = self.prepared.finest();
         let albedo: Option<Albedo> =
-            rounds.estimate_albedo(&self.state.surface.mesh, &self.observations, current);
+            rounds.estimate_albedo(&self.sites, &self.observations, current);
         albedo.map(|albedo| albedo.groups)
     }
 

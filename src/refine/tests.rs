@@ -56,7 +56,7 @@ fn gradient_matches_central_differences_of_the_energy() {
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let problem = Problem {
-        observations: &Observations::new(&surface.mesh, &sites, &views),
+        observations: &Observations::new(&sites, &views),
         labels: &(0..surface.mesh.faces.len())
             .map(|face| (face % 2) as u8)
             .collect::<Vec<_>>(),
@@ -132,7 +132,7 @@ fn the_true_surface_has_almost_no_residual() {
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
     let sites = Sites::new(&mesh, &views, u64::MAX);
     let albedo = vec![ALBEDO; mesh.faces.len()];
-    for error in sites.view_errors(&mesh, &views, &albedo) {
+    for error in sites.view_errors(&views, &albedo) {
         assert!(error.n_sites > 3000);
         // Facets of a tenth of a wavelength and the footprint correction of point samples: 1 %.
         assert!(error.rmse < 0.012, "{}", error.rmse);
@@ -151,8 +151,7 @@ fn alignment_brings_a_moved_view_back() {
     views[0].gain = 1.03;
     let sites = Sites::new(&mesh, &views, u64::MAX);
     let target = AlignmentTarget {
-        mesh: &mesh,
-        sites: &sites.points,
+        sites: &sites,
         faces: &sites.faces_of(0),
         stands_for: 1.0,
         albedo: &vec![ALBEDO; mesh.faces.len()],

@@ -36,7 +36,6 @@ fn told_by(
     let base = FLAT.mesh(0.0015);
     let views = views_of(&rendered.collect::<Vec<_>>(), &base, &believed_optics);
     told_by_images(
-        &base,
         &Sites::new(&base, &views, u64::MAX),
         &views,
         &believed_optics,
