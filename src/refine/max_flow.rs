@@ -1,4 +1,5 @@
-//! The largest flow through a network and the smallest cut, by blocking flows on layered networks (Dinic 1970).
+//! The largest flow through a network and the smallest cut, by two trees that grow towards each other (Boykov and Kolmogorov, *An
+//! Experimental Comparison of Min-Cut/Max-Flow Algorithms*, PAMI 2004).
 //!
 //! Source and sink are not nodes: each node has a capacity from the source or one to the sink. Capacities are whole numbers,
 //! so that it ends and gives the same cut everywhere.
@@ -25,9 +26,6 @@ pub struct FlowNetwork {
     twins: Vec<u32>,
     left: Vec<i64>,
 }
-
-/// Level of a node that the source does not reach.
-const UNREACHED: u32 = u32::MAX;
 
 impl FlowNetwork {
     /// A network of nodes with capacities from the source (positive) or to the sink (negative).
@@ -68,105 +66,275 @@ impl FlowNetwork {
     }
 
     /// Which nodes are on the source's side of a smallest cut: of all of them the one that leaves fewest there.
-    pub fn source_side(mut self) -> Vec<bool> {
-        loop {
-            let levels = self.levels();
-            if !self.block(&levels) {
-                return levels.iter().map(|&level| level != UNREACHED).collect();
-            }
-        }
+    pub fn source_side(self) -> Vec<bool> {
+        let forest = Forest::grown(self);
+        let trees = forest.trees.iter();
+        trees.map(|&tree| tree == Tree::Source).collect()
     }
 
     fn arcs(&self, node: u32) -> std::ops::Range<u32> {
         self.starts[node as usize]..self.starts[node as usize + 1]
     }
 
-    /// Arcs from the source to each node, over what is left.
-    fn levels(&self) -> Vec<u32> {
-        let mut levels = vec![UNREACHED; self.terminals.len()];
-        let mut queue = VecDeque::new();
-        for (node, &terminal) in self.terminals.iter().enumerate() {
-            if terminal > 0 {
-                levels[node] = 0;
-                queue.push_back(node as u32);
-            }
-        }
-        while let Some(node) = queue.pop_front() {
-            for arc in self.arcs(node) {
-                let head = self.heads[arc as usize] as usize;
-                if self.left[arc as usize] > 0 && levels[head] == UNREACHED {
-                    levels[head] = levels[node as usize] + 1;
-                    queue.push_back(head as u32);
-                }
-            }
-        }
-        levels
+    fn head(&self, arc: u32) -> u32 {
+        self.heads[arc as usize]
     }
 
-    /// Pushes flow from level to level until no path to the sink is left; whether there was any.
-    fn block(&mut self, levels: &[u32]) -> bool {
-        let mut next = self.starts.clone();
-        let mut path = Vec::new();
-        let mut any = false;
-        for source in 0..self.terminals.len() as u32 {
-            let mut node = source;
-            while self.terminals[source as usize] > 0 {
-                if self.terminals[node as usize] < 0 {
-                    node = self.push(source, node, &mut path);
-                    any = true;
-                } else if let Some(arc) = self.forward(node, &mut next, levels) {
-                    path.push(arc);
-                    node = self.heads[arc as usize];
-                } else if let Some(arc) = path.pop() {
-                    node = self.heads[self.twins[arc as usize] as usize];
-                    next[node as usize] += 1;
+    fn twin(&self, arc: u32) -> u32 {
+        self.twins[arc as usize]
+    }
+
+    /// What is left of an arc in the direction in which a tree grows along it: from the source, or towards the sink.
+    fn left_outwards(&self, arc: u32, tree: Tree) -> i64 {
+        match tree {
+            Tree::Sink => self.left[self.twin(arc) as usize],
+            _ => self.left[arc as usize],
+        }
+    }
+
+    fn send(&mut self, arc: u32, amount: i64) -> i64 {
+        let twin = self.twin(arc);
+        self.left[twin as usize] += amount;
+        let left = &mut self.left[arc as usize];
+        *left -= amount;
+        *left
+    }
+}
+
+/// Whose tree a node belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Tree {
+    /// Nobody's.
+    Free,
+    /// Reached from the source over what is left.
+    Source,
+    /// Reaches the sink.
+    Sink,
+}
+
+/// In place of the arc to a parent: the source or sink itself, and none yet.
+const TERMINAL: u32 = u32::MAX;
+const ORPHAN: u32 = u32::MAX - 1;
+
+/// A tree from the source and one from the sink, over what is left of the capacities. Where they touch flow is sent, and what that
+/// cuts off is grown on again elsewhere.
+struct Forest {
+    network: FlowNetwork,
+    trees: Vec<Tree>,
+    /// Arc from each node to its parent.
+    parents: Vec<u32>,
+    /// Arcs to the terminal, and in which turn that was so.
+    depths: Vec<u32>,
+    stamps: Vec<u32>,
+    turn: u32,
+    /// Nodes beside which their tree may grow.
+    active: VecDeque<u32>,
+    is_active: Vec<bool>,
+    orphans: VecDeque<u32>,
+}
+
+impl Forest {
+    fn grown(network: FlowNetwork) -> Forest {
+        let n = network.terminals.len();
+        let mut forest = Forest {
+            trees: vec![Tree::Free; n],
+            parents: vec![ORPHAN; n],
+            depths: vec![0; n],
+            stamps: vec![0; n],
+            turn: 1,
+            active: VecDeque::new(),
+            is_active: vec![false; n],
+            orphans: VecDeque::new(),
+            network,
+        };
+        for node in 0..n as u32 {
+            let terminal = forest.network.terminals[node as usize];
+            if terminal != 0 {
+                let tree = if terminal > 0 {
+                    Tree::Source
                 } else {
-                    break;
+                    Tree::Sink
+                };
+                forest.trees[node as usize] = tree;
+                forest.parents[node as usize] = TERMINAL;
+                forest.depths[node as usize] = 1;
+                forest.activate(node);
+            }
+        }
+        while let Some(&node) = forest.active.front() {
+            match forest.bridge(node) {
+                // The node may have more.
+                Some(bridge) => {
+                    forest.turn += 1;
+                    forest.send(bridge);
+                    while let Some(orphan) = forest.orphans.pop_front() {
+                        forest.adopt(orphan);
+                    }
+                }
+                None => {
+                    forest.active.pop_front();
+                    forest.is_active[node as usize] = false;
                 }
             }
-            path.clear();
         }
-        any
+        forest
     }
 
-    /// The next arc of a node that leads a level on.
-    fn forward(&self, node: u32, next: &mut [u32], levels: &[u32]) -> Option<u32> {
-        let end = self.arcs(node).end;
-        let at = &mut next[node as usize];
-        while *at < end {
-            let arc = *at as usize;
-            let head = self.heads[arc] as usize;
-            let leads_on = levels[head] != UNREACHED && levels[head] == levels[node as usize] + 1;
-            if self.left[arc] > 0 && leads_on {
-                return Some(*at);
+    fn activate(&mut self, node: u32) {
+        if !std::mem::replace(&mut self.is_active[node as usize], true) {
+            self.active.push_back(node);
+        }
+    }
+
+    /// Grows a tree by the free neighbours of a node; an arc from the source's tree to the sink's, if there is one.
+    fn bridge(&mut self, node: u32) -> Option<u32> {
+        let tree = self.trees[node as usize];
+        if tree == Tree::Free {
+            return None;
+        }
+        for arc in self.network.arcs(node) {
+            if self.network.left_outwards(arc, tree) == 0 {
+                continue;
             }
-            *at += 1;
+            let other = self.network.head(arc);
+            let (from, to) = (node as usize, other as usize);
+            if self.trees[to] == Tree::Free {
+                self.trees[to] = tree;
+                self.hang(other, self.network.twin(arc), node);
+                self.activate(other);
+            } else if self.trees[to] != tree {
+                return Some(match tree {
+                    Tree::Sink => self.network.twin(arc),
+                    _ => arc,
+                });
+            } else if self.stamps[to] <= self.stamps[from]
+                && self.depths[to] > self.depths[from] + 1
+            {
+                // A shorter way.
+                self.hang(other, self.network.twin(arc), node);
+            }
         }
         None
     }
 
-    /// Pushes as much as a path from a source to a node at the sink takes, and cuts the path at its first full arc; returns
-    /// where it then ends.
-    fn push(&mut self, source: u32, sink: u32, path: &mut Vec<u32>) -> u32 {
-        let ends = self.terminals[source as usize].min(-self.terminals[sink as usize]);
-        let arcs = path.iter().map(|&arc| self.left[arc as usize]);
-        let amount = arcs.fold(ends, i64::min);
-        self.terminals[source as usize] -= amount;
-        self.terminals[sink as usize] += amount;
-        let mut first_full = None;
-        for (place, &arc) in path.iter().enumerate() {
-            self.left[arc as usize] -= amount;
-            self.left[self.twins[arc as usize] as usize] += amount;
-            if self.left[arc as usize] == 0 {
-                first_full.get_or_insert(place);
+    fn hang(&mut self, node: u32, arc: u32, parent: u32) {
+        self.parents[node as usize] = arc;
+        self.stamps[node as usize] = self.stamps[parent as usize];
+        self.depths[node as usize] = self.depths[parent as usize] + 1;
+    }
+
+    /// The arcs from a node of a tree to its terminal, in the direction of flow, and the node at the terminal.
+    fn way(&self, mut node: u32) -> (Vec<u32>, u32) {
+        let mut arcs = Vec::new();
+        loop {
+            let arc = self.parents[node as usize];
+            if arc == TERMINAL {
+                return (arcs, node);
+            }
+            arcs.push(match self.trees[node as usize] {
+                Tree::Source => self.network.twin(arc),
+                _ => arc,
+            });
+            node = self.network.head(arc);
+        }
+    }
+
+    /// Sends as much as the way over a bridge takes; nodes whose arc to the parent that fills are orphans.
+    fn send(&mut self, bridge: u32) {
+        let tail = self.network.head(self.network.twin(bridge));
+        let ((before, source), (after, sink)) =
+            (self.way(tail), self.way(self.network.head(bridge)));
+        let ends =
+            self.network.terminals[source as usize].min(-self.network.terminals[sink as usize]);
+        let arcs = before.iter().chain(&after).chain([&bridge]);
+        let amount = arcs.fold(ends, |least, &arc| {
+            least.min(self.network.left[arc as usize])
+        });
+        self.network.send(bridge, amount);
+        for &arc in &before {
+            if self.network.send(arc, amount) == 0 {
+                self.cut_off(self.network.head(arc));
             }
         }
-        let Some(place) = first_full else {
-            return sink;
+        for &arc in &after {
+            if self.network.send(arc, amount) == 0 {
+                self.cut_off(self.network.head(self.network.twin(arc)));
+            }
+        }
+        for (node, sent) in [(source, -amount), (sink, amount)] {
+            let left = &mut self.network.terminals[node as usize];
+            *left += sent;
+            if *left == 0 {
+                self.cut_off(node);
+            }
+        }
+    }
+
+    fn cut_off(&mut self, node: u32) {
+        self.parents[node as usize] = ORPHAN;
+        self.orphans.push_back(node);
+    }
+
+    /// Arcs from a node to its terminal, if it still hangs on it; the nodes on the way are stamped with what was found.
+    fn depth(&mut self, node: u32) -> Option<u32> {
+        let (mut at, mut steps) = (node, 0);
+        let depth = loop {
+            if self.stamps[at as usize] == self.turn {
+                break steps + self.depths[at as usize];
+            }
+            match self.parents[at as usize] {
+                ORPHAN => return None,
+                TERMINAL => {
+                    self.stamps[at as usize] = self.turn;
+                    self.depths[at as usize] = 1;
+                    break steps + 1;
+                }
+                arc => at = self.network.head(arc),
+            }
+            steps += 1;
         };
-        let tail = self.heads[self.twins[path[place] as usize] as usize];
-        path.truncate(place);
-        tail
+        let (mut at, mut left) = (node, depth);
+        while self.stamps[at as usize] != self.turn {
+            self.stamps[at as usize] = self.turn;
+            self.depths[at as usize] = left;
+            left -= 1;
+            at = self.network.head(self.parents[at as usize]);
+        }
+        Some(depth)
+    }
+
+    /// Finds an orphan the nearest parent in its tree, or sets it free with those that hang on it.
+    fn adopt(&mut self, orphan: u32) {
+        let tree = self.trees[orphan as usize];
+        let mut nearest: Option<(u32, u32)> = None;
+        for arc in self.network.arcs(orphan) {
+            let (other, back) = (self.network.head(arc), self.network.twin(arc));
+            if self.trees[other as usize] != tree || self.network.left_outwards(back, tree) == 0 {
+                continue;
+            }
+            if let Some(depth) = self.depth(other)
+                && nearest.is_none_or(|(least, _)| depth < least)
+            {
+                nearest = Some((depth, arc));
+            }
+        }
+        if let Some((_, arc)) = nearest {
+            self.hang(orphan, arc, self.network.head(arc));
+            return;
+        }
+        for arc in self.network.arcs(orphan) {
+            let (other, back) = (self.network.head(arc), self.network.twin(arc));
+            if self.trees[other as usize] != tree {
+                continue;
+            }
+            if self.network.left_outwards(back, tree) > 0 {
+                self.activate(other);
+            }
+            if self.parents[other as usize] == back {
+                self.cut_off(other);
+            }
+        }
+        self.trees[orphan as usize] = Tree::Free;
     }
 }
 
