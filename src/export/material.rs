@@ -13,7 +13,7 @@ pub struct PhongParams {
     /// Strength of the highlight at its centre.
     pub specular: f64,
     /// Exponent of the highlight; small is soft.
-    pub shininess: f64,
+    pub shininess: i32,
     /// Colour around the mesh, sRGB.
     pub background: [u8; 3],
 }
@@ -25,7 +25,7 @@ impl Default for PhongParams {
             flat: false,
             reflectance: 0.66,
             specular: 0.09,
-            shininess: 18.0,
+            shininess: 18,
             background: [255; 3],
         }
     }
@@ -39,6 +39,14 @@ const SKY: f64 = 0.08;
 /// in the camera frame (x right, y down, z forward), and strength.
 const LIGHTS: [([f64; 3], f64); 2] = [([-0.55, -0.60, -0.58], 0.88), ([0.80, 0.15, -0.60], 0.26)];
 
+/// The same with unit directions.
+static UNIT_LIGHTS: LazyLock<[(Vector3<f64>, f64); 2]> = LazyLock::new(|| {
+    LIGHTS.map(|(direction, strength)| {
+        let direction = Vector3::from(direction);
+        (direction / direction.norm(), strength)
+    })
+});
+
 /// Linear brightness of a surface with this unit normal, seen from this unit direction.
 pub(super) fn shade(
     normal: &Vector3<f64>,
@@ -47,14 +55,11 @@ pub(super) fn shade(
 ) -> f64 {
     let mut scattered = AMBIENT + SKY * (0.5 - 0.5 * normal.y);
     let mut highlight = 0.0;
-    for (direction, strength) in LIGHTS {
-        let Some(light) = Vector3::from(direction).try_normalize(0.0) else {
-            continue;
-        };
+    for &(light, strength) in &*UNIT_LIGHTS {
         let cosine = normal.dot(&light).max(0.0);
         scattered += strength * cosine;
         if let Some(half) = (light + towards_camera).try_normalize(1e-9) {
-            highlight += strength * cosine * normal.dot(&half).max(0.0).powf(params.shininess);
+            highlight += strength * cosine * normal.dot(&half).max(0.0).powi(params.shininess);
         }
     }
     params.reflectance * scattered + params.specular * highlight

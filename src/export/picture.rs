@@ -7,7 +7,7 @@ use super::{
     PhongParams, PictureView,
     material::{linear_from_srgb, shade, srgb_from_linear},
 };
-use crate::geometry::{CameraModel, DepthBuffer, Pose, TriMesh, rasterise};
+use crate::geometry::{CameraModel, DepthBuffer, TriMesh, area_vector, rasterise};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -35,12 +35,17 @@ pub fn phong(
     );
     let camera = view.camera.finer(SAMPLES);
     let camera_from_mesh = view.world_from_camera.inverse();
+    let motion = camera_from_mesh.to_homogeneous();
     let scene = Scene {
-        mesh,
-        normals,
+        faces: &mesh.faces,
+        vertices: (mesh.vertices.iter())
+            .map(|vertex| motion.transform_point(vertex))
+            .collect(),
+        normals: (normals.iter())
+            .map(|normal| motion.transform_vector(normal))
+            .collect(),
         buffer: rasterise(mesh, &camera, &camera_from_mesh),
         camera,
-        camera_from_mesh,
         background: params.background.map(linear_from_srgb),
     };
     let (width, height) = (
@@ -54,13 +59,13 @@ pub fn phong(
     Image::from_vec(width, height, pixels)
 }
 
-/// All that shading one sample needs.
+/// All that shading one sample needs, in the camera frame.
 struct Scene<'a> {
-    mesh: &'a TriMesh,
-    normals: &'a [Vector3<f64>],
+    faces: &'a [[u32; 3]],
+    vertices: Vec<Point3<f64>>,
+    normals: Vec<Vector3<f64>>,
     buffer: DepthBuffer,
     camera: CameraModel,
-    camera_from_mesh: Pose,
     background: [f64; 3],
 }
 
@@ -89,11 +94,8 @@ impl Scene<'_> {
         }
         let ray = self.camera.unproject(u as f64, v as f64)?.push(1.0);
         let point = Point3::from(ray * f64::from(*self.buffer.depth_m.at(u, v)));
-        let corners = self
-            .mesh
-            .corners(face as usize)
-            .map(|corner| self.camera_from_mesh * corner);
-        let face_normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let corners = self.faces[face as usize].map(|vertex| self.vertices[vertex as usize]);
+        let face_normal = area_vector(corners);
         let normal = if params.flat {
             face_normal
         } else {
@@ -107,7 +109,7 @@ impl Scene<'_> {
         Some(brightness * if outside { 1.0 } else { INSIDE })
     }
 
-    /// The vertex normals interpolated at a point of a face, in the camera frame; `None` if they cancel.
+    /// The vertex normals interpolated at a point of a face; `None` if they cancel.
     fn smooth_normal(
         &self,
         face: usize,
@@ -115,17 +117,17 @@ impl Scene<'_> {
         point: &Point3<f64>,
     ) -> Option<Vector3<f64>> {
         let [a, b, c] = corners;
-        let twice_area = (b - a).cross(&(c - a));
+        let twice_area = area_vector(*corners);
         // Signed areas opposite to each corner; beyond an edge by rounding means on it.
         let area = |p: &Point3<f64>, q: &Point3<f64>| {
             (p - point).cross(&(q - point)).dot(&twice_area).max(0.0)
         };
         let weights = [area(b, c), area(c, a), area(a, b)];
-        let vertices = self.mesh.faces[face];
+        let vertices = self.faces[face];
         let sum: Vector3<f64> = (0..3)
             .map(|k| self.normals[vertices[k] as usize] * weights[k])
             .sum();
-        (self.camera_from_mesh * sum).try_normalize(f64::MIN_POSITIVE)
+        sum.try_normalize(f64::MIN_POSITIVE)
     }
 }
 

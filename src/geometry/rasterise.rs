@@ -4,7 +4,7 @@
 
 use super::{CameraModel, Pose, TriMesh};
 use depth_camera::Image;
-use nalgebra::{Point3, Vector2};
+use nalgebra::Vector2;
 
 /// What a camera sees of a mesh, pixel by pixel.
 #[derive(Clone, Debug)]
@@ -24,14 +24,17 @@ pub fn rasterise(mesh: &TriMesh, camera: &CameraModel, camera_from_mesh: &Pose) 
         depth_m: Image::filled(width, height, f32::INFINITY),
         face: Image::filled(width, height, u32::MAX),
     };
-    let projected: Vec<Option<(Vector2<f64>, f64)>> = mesh
+    let camera_from_mesh = camera_from_mesh.to_homogeneous();
+    let projected: Vec<Option<Corner>> = mesh
         .vertices
         .iter()
         .map(|vertex| {
-            let point_camera: Point3<f64> = camera_from_mesh * vertex;
-            camera
-                .project(&point_camera)
-                .map(|pixel| (pixel, point_camera.z))
+            let point_camera = camera_from_mesh.transform_point(vertex);
+            let pixel = camera.project(&point_camera)?;
+            Some(Corner {
+                pixel,
+                inv_depth: 1.0 / point_camera.z,
+            })
         })
         .collect();
     for (index, face) in mesh.faces.iter().enumerate() {
@@ -43,9 +46,17 @@ pub fn rasterise(mesh: &TriMesh, camera: &CameraModel, camera_from_mesh: &Pose) 
     buffer
 }
 
+/// A corner of a face on the image.
+#[derive(Clone, Copy)]
+struct Corner {
+    pixel: Vector2<f64>,
+    /// 1/z, per metre.
+    inv_depth: f64,
+}
+
 /// Draws one triangle; depth is interpolated as 1/z, which is linear on the image.
-fn draw(buffer: &mut DepthBuffer, face: u32, corners: [(Vector2<f64>, f64); 3]) {
-    let [(a, za), (b, zb), (c, zc)] = corners;
+fn draw(buffer: &mut DepthBuffer, face: u32, corners: [Corner; 3]) {
+    let [a, b, c] = corners.map(|corner| corner.pixel);
     let (width, height) = (buffer.depth_m.width(), buffer.depth_m.height());
     let low = a.inf(&b).inf(&c);
     let high = a.sup(&b).sup(&c);
@@ -58,18 +69,23 @@ fn draw(buffer: &mut DepthBuffer, face: u32, corners: [(Vector2<f64>, f64); 3]) 
     );
     let u1 = (high.x.floor() as usize).min(width - 1);
     let v1 = (high.y.floor() as usize).min(height - 1);
+    // Most faces are smaller than a pixel and lie between their centres.
+    if u0 > u1 || v0 > v1 {
+        return;
+    }
     let area = (b - a).perp(&(c - a));
     if area == 0.0 {
         return;
     }
+    let per_area = 1.0 / area;
     // Barycentric weights are linear on the image: their values at the first pixel, and slopes.
     let first = Vector2::new(u0 as f64, v0 as f64);
     let weight = |p: &Vector2<f64>, q: &Vector2<f64>| {
-        let along = (q - p) / area;
-        ((p - first).perp(&(q - first)) / area, -along.y, along.x)
+        let along = (q - p) * per_area;
+        ((p - first).perp(&(q - first)) * per_area, -along.y, along.x)
     };
     let (weight_a, weight_b) = (weight(&b, &c), weight(&c, &a));
-    let inv_depth = [za, zb, zc].map(|z| 1.0 / z);
+    let inv_depth = corners.map(|corner| corner.inv_depth);
     for v in v0..=v1 {
         for u in u0..=u1 {
             let (right, down) = ((u - u0) as f64, (v - v0) as f64);
@@ -94,6 +110,7 @@ fn draw(buffer: &mut DepthBuffer, face: u32, corners: [(Vector2<f64>, f64); 3]) 
 mod tests {
     use super::*;
     use crate::geometry::camera::tests::distorted_camera;
+    use nalgebra::Point3;
 
     #[test]
     fn a_slanted_plane_has_its_own_depth_at_every_pixel() {

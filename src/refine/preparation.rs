@@ -70,10 +70,14 @@ impl Preparation {
             edge_length_m: params.edge_length_for(object.area_m2()),
             ..params.clone()
         };
-        let levels = levels(object, &params)?;
+        let centre = centre_of(object);
+        // Meshing keeps one thread busy.
+        let (levels, mut views) = rayon::join(
+            || levels(object, &params),
+            || views_of(subject, &params, centre),
+        );
+        let levels = levels?;
         let mesh = &levels[0].mesh;
-        let centre = centre_of(mesh);
-        let mut views = views_of(subject, &params, centre);
         let asked = levels
             .iter()
             .find(|level| level.edge_length_m <= ASKED_EDGE_M);
@@ -205,7 +209,7 @@ impl Preparation {
         judge(&self.finest(), &base, refined, judges)
     }
 
-    /// Mean of the object's vertices, world frame.
+    /// Mean of the object's vertices as they were fused, world frame.
     pub fn centre(&self) -> &Point3<f64> {
         &self.centre
     }
