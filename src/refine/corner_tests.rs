@@ -1,5 +1,6 @@
 //! Interreflection in a corner: two planes at right angles light one another, summed square by square here.
 
+use super::gaze::Gaze;
 use super::optics::Optics;
 use super::scenes::{FULL_SCALE, calibration, optics};
 use super::view::{ImageTrust, View, ViewContext};
@@ -104,7 +105,7 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
     let error = |view: &View, x: f64| {
         let (point, normal) = at(x, 0.01);
         let mut seen = None;
-        Gaze::new(view).each(iter::once(&point), |_, look| {
+        Gaze::new(view).each(std::iter::once(&point), |_, look| {
             seen = view.sample(look, &normal)
         });
         let sample = seen.expect("is seen");

@@ -132,5 +132,8 @@ mod tests {
         // Hat-weighted means of a ramp are exact inside.
         assert!((fitted.at(&pixel) - truth(&pixel)).abs() < 1e-3);
         assert_eq!(fitted.at(&Vector2::new(95.0, 30.0)), 1.0);
+        let (u, v) = ([41.7; LANES], [12.3; LANES]);
+        let many = f64::from(fitted.at_lanes(&u, &v)[5]);
+        assert!((many - fitted.at(&Vector2::new(41.7, 12.3))).abs() < 1e-6);
     }
 }

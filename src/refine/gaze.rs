@@ -1,6 +1,6 @@
 //! A view that looks at many points: which of them it sees, and what it shows there.
 //!
-//! In single precision, [`LANES`] points at a time. Places on the image are right to 10⁻⁴ pixels, intensities and light to 10⁻⁶ of
+//! In single precision, [`LANES`] points at a time. Places on the image are right to 10⁻⁴ pixels, intensities and light to 10⁻⁵ of
 //! themselves.
 
 use super::view::{Look, View};
@@ -253,6 +253,10 @@ impl<'a> Gaze<'a> {
         }
     }
 
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
     #[inline(always)]
     fn weighed_lanes(&self, points: &Lanes3, normals: &Lanes3) -> Weighed {
         let looks = self.looks_lanes(points);
@@ -423,5 +427,101 @@ impl WithSimd for Weigh<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Weighed {
         self.gaze.weighed_lanes(self.points, self.normals)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::scenes::{RippledPlane, calibration, optics, poses, rays, views};
+    use super::*;
+    use crate::geometry::lanes::arch_levels;
+    use nalgebra::Isometry3;
+
+    const RIPPLED: RippledPlane = RippledPlane {
+        amplitude_m: 0.0003,
+    };
+
+    /// Points of the plane and beside it, with its normal.
+    fn points() -> (Lanes3, Lanes3) {
+        let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        for lane in 0..LANES {
+            let x = 0.007 * lane as f64 - 0.05;
+            let point = Vector3::new(x, 0.4 * x, 0.6);
+            set_lane(&mut points, lane, &point);
+            set_lane(&mut normals, lane, &RIPPLED.normal(point.x, point.y));
+        }
+        (points, normals)
+    }
+
+    fn view_of(pose: Pose) -> View {
+        let (rays, calibration) = (rays(), calibration());
+        let optics = optics(&rays, &calibration);
+        views(&RIPPLED, &RIPPLED.mesh(0.002), &optics, &[pose]).remove(0)
+    }
+
+    #[test]
+    fn what_is_shown_is_where_it_projects_and_lit_as_the_light_does() {
+        let view = view_of(poses(0.4)[1]);
+        let (points, _) = points();
+        let looks = Gaze::new(&view).looks(&points);
+        let mut n_shown = 0;
+        let all = points[0].iter().zip(&points[1]).zip(&points[2]);
+        for (lane, ((&x, &y), &z)) in all.enumerate() {
+            let point = Point3::from([x, y, z].map(f64::from));
+            let at_camera = view.camera_from_world * point;
+            let pixel = view.camera().project(&at_camera).expect("in front");
+            let Some(look) = looks.get(lane) else {
+                assert!(!view.camera().contains(&pixel, 0.0));
+                continue;
+            };
+            assert!((look.pixel - pixel).norm() < 1e-4);
+            assert!((look.point_camera - at_camera).norm() < 1e-6);
+            let direct = view.light().incident(&at_camera);
+            assert!((look.direct - direct).norm() < 1e-5 * direct.norm());
+            if let Some((observed, gradient, noise)) = view.linear().sample(pixel.x, pixel.y) {
+                n_shown += 1;
+                assert!((look.observed - observed).abs() < 1e-5);
+                assert!((look.gradient[0] - gradient[0]).abs() < 1e-5);
+                assert!(look.sigma >= noise);
+            } else {
+                assert!(look.observed.is_nan());
+            }
+        }
+        assert!(n_shown > 8, "{n_shown}");
+    }
+
+    #[test]
+    fn what_lies_behind_faces_away_or_grazes_is_not_seen() {
+        let view = view_of(Isometry3::identity());
+        let gaze = Gaze::new(&view);
+        let ((points, normals), middle) = (points(), LANES / 2 - 1);
+        assert!(gaze.sees(&points, &normals)[middle]);
+        let moved = |by: f32| [points[0], points[1], points[2].map(|z| z + by)];
+        assert!(gaze.sees(&moved(0.002), &normals)[middle]);
+        assert!(!gaze.sees(&moved(0.006), &normals)[middle], "is hidden");
+        let turned = normals.map(|axis| axis.map(|x| -x));
+        assert_eq!(gaze.sees(&points, &turned), [false; LANES]);
+        let grazing = [[0.98; LANES], [0.0; LANES], [-0.2; LANES]];
+        assert!(!gaze.sees(&points, &grazing)[middle], "grazes");
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        let view = view_of(poses(0.4)[2]);
+        let (points, normals) = points();
+        let of_arch = |arch| {
+            let gaze = Gaze {
+                arch,
+                ..Gaze::new(&view)
+            };
+            let weighed = gaze.weighed(&points, &normals);
+            let lanes = [[weighed.observed; 3], weighed.light, weighed.pixels_per_m2];
+            let bits = lanes.map(|lanes| lanes.map(|lane| lane.map(f32::to_bits)));
+            (gaze.sees(&points, &normals), bits)
+        };
+        let levels = arch_levels();
+        for &arch in &levels {
+            assert_eq!(of_arch(arch), of_arch(levels[0]));
+        }
     }
 }

@@ -129,3 +129,79 @@ impl Level {
 fn of_children<T: Copy>(of_faces: &[T]) -> Vec<T> {
     of_faces.iter().flat_map(|&value| [value; 4]).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::scenes::{RippledPlane, surface_of};
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn of_edge(edge_length_m: f64, n_rounds: usize) -> RefineParams {
+        RefineParams {
+            edge_length_m,
+            n_rounds,
+            ..RefineParams::default()
+        }
+    }
+
+    #[test]
+    fn levels_double_the_edge_up_to_two_pixels_and_are_no_more_than_rounds() {
+        let object = RippledPlane { amplitude_m: 0.0 }.mesh(0.002);
+        let edges = |params: &RefineParams| -> Vec<f64> {
+            let levels = levels(&object, params).expect("a surface");
+            levels.iter().map(|level| level.edge_length_m).collect()
+        };
+        assert_eq!(edges(&of_edge(0.0013, 3)), [0.0026, 0.0013]);
+        assert_eq!(edges(&of_edge(0.0007, 3)), [0.0028, 0.0014, 0.0007]);
+        assert_eq!(edges(&of_edge(0.0007, 2)), [0.0014, 0.0007]);
+        assert_eq!(edges(&of_edge(0.0013, 1)), [0.0013]);
+        assert_eq!(edges(&of_edge(0.002, 3)), [0.002]);
+    }
+
+    #[test]
+    fn a_finer_level_takes_over_what_the_coarser_was_displaced_by() {
+        let object = RippledPlane { amplitude_m: 0.0 }.mesh(0.002);
+        let levels = levels(&object, &of_edge(0.0013, 3)).expect("a surface");
+        let [coarse, fine] = &levels[..] else {
+            panic!("{} levels", levels.len());
+        };
+        // A tilt, which linear interpolation keeps.
+        let mut surface = surface_of(coarse.mesh.clone());
+        let by = |x: f64| 0.01 * x;
+        for (vertex, total) in surface.mesh.vertices.iter_mut().zip(&mut surface.total_m) {
+            *total = by(vertex.x);
+            *vertex += Vector3::new(0.0, 0.0, *total);
+        }
+        let n_faces = coarse.mesh.faces.len();
+        let labels: Vec<u8> = (0..n_faces).map(|face| (face % 2) as u8).collect();
+        let state = State {
+            surface,
+            views: Vec::new(),
+            albedo: Albedo {
+                by_face: labels.iter().map(|&label| f64::from(label)).collect(),
+                labels,
+                groups: vec![0.0, 1.0],
+                spread: 0.0,
+            },
+        };
+        let State {
+            surface, albedo, ..
+        } = fine.prolonged(coarse, &state);
+        // Relaxed vertices lie up to half an edge from where they began.
+        let tolerance_m = by(0.5 * coarse.edge_length_m);
+        let pairs = fine.mesh.vertices.iter().zip(&surface.mesh.vertices);
+        for ((from, to), total) in pairs.zip(&surface.total_m) {
+            assert!((to.z - from.z - by(from.x)).abs() < tolerance_m);
+            assert!((to.z - from.z - total).abs() < 1e-12);
+        }
+        assert_eq!(albedo.labels.len(), fine.mesh.faces.len());
+        assert!((0..albedo.labels.len()).all(|face| albedo.labels[face] == (face / 4 % 2) as u8));
+        assert!(
+            albedo
+                .by_face
+                .iter()
+                .zip(&albedo.labels)
+                .all(|(&a, &l)| a == f64::from(l))
+        );
+    }
+}

@@ -363,6 +363,72 @@ mod tests {
         ends + edges.iter().map(between).sum::<i64>()
     }
 
+    /// The largest flow, by one path of a matrix of capacities after the other.
+    fn largest_flow(terminals: &[i64], edges: &[Edge]) -> i64 {
+        let (n, source, sink) = (terminals.len() + 2, terminals.len(), terminals.len() + 1);
+        let mut left = vec![vec![0; n]; n];
+        for (node, &terminal) in terminals.iter().enumerate() {
+            left[source][node] = terminal.max(0);
+            left[node][sink] = (-terminal).max(0);
+        }
+        for Edge { ends, capacities } in edges {
+            let [a, b] = ends.map(|end| end as usize);
+            left[a][b] += capacities[0];
+            left[b][a] += capacities[1];
+        }
+        let mut flow = 0;
+        loop {
+            let mut from = vec![usize::MAX; n];
+            let mut queue = VecDeque::from([source]);
+            while let Some(node) = queue.pop_front() {
+                for next in 0..n {
+                    if from[next] == usize::MAX && next != source && left[node][next] > 0 {
+                        from[next] = node;
+                        queue.push_back(next);
+                    }
+                }
+            }
+            if from[sink] == usize::MAX {
+                return flow;
+            }
+            let way: Vec<[usize; 2]> = std::iter::successors(Some(sink), |&node| {
+                Some(from[node]).filter(|&before| before != source)
+            })
+            .map(|node| [from[node], node])
+            .collect();
+            let amount = way.iter().map(|&[a, b]| left[a][b]).min().unwrap_or(0);
+            for [a, b] in way {
+                left[a][b] -= amount;
+                left[b][a] += amount;
+            }
+            flow += amount;
+        }
+    }
+
+    #[test]
+    fn the_cut_of_a_grid_costs_what_flows_through_it() {
+        let (width, mut seed) = (12u32, 11);
+        for _ in 0..8 {
+            let n = width * width;
+            let terminals: Vec<i64> = (0..n).map(|_| pick(&mut seed, 61) - 30).collect();
+            let beside = |node: u32| {
+                let right = (node % width + 1 < width).then_some(node + 1);
+                let below = (node + width < n).then_some(node + width);
+                [right, below].into_iter().flatten()
+            };
+            let pairs = (0..n).flat_map(|node| beside(node).map(move |other| [node, other]));
+            let edges: Vec<Edge> = pairs
+                .map(|ends| Edge {
+                    ends,
+                    capacities: [pick(&mut seed, 25), pick(&mut seed, 25)],
+                })
+                .collect();
+            let cut = FlowNetwork::new(terminals.clone(), &edges).source_side();
+            let flow = largest_flow(&terminals, &edges);
+            assert_eq!(cost(&terminals, &edges, &cut), flow);
+        }
+    }
+
     #[test]
     fn no_cut_of_a_small_network_costs_less() {
         let mut seed = 7;

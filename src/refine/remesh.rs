@@ -257,6 +257,58 @@ mod tests {
         assert_even_edges(&mesh, 0.05);
     }
 
+    /// A mesh with its edges halved, on the surface of `source`.
+    fn halved(mesh: &TriMesh, source: &TriMesh) -> Subdivided {
+        let edges = EdgeAdjacency::new(mesh).edges;
+        let number = |p: u32, q: u32| {
+            let edge = edges.binary_search(&[p.min(q), p.max(q)]);
+            edge.expect("an edge of the mesh") as u32
+        };
+        let sides = mesh.faces.iter();
+        let sides = sides.map(|&[a, b, c]| [number(a, b), number(b, c), number(c, a)]);
+        let sides: Vec<[u32; 3]> = sides.collect();
+        subdivide(mesh, &sides, edges.len(), &TriangleBvh::new(source))
+    }
+
+    #[test]
+    fn halved_edges_make_four_faces_of_each_on_the_same_surface() {
+        let source = level_set(24, |p| torus(p, 0.6, 0.25));
+        let coarse = remeshed(&source, 0.08);
+        let Subdivided { mesh, parents } = halved(&coarse, &source);
+        assert_eq!(mesh.faces.len(), 4 * coarse.faces.len());
+        assert_oriented_manifold(&mesh);
+        assert_eq!(euler_characteristic(&mesh), 0);
+        assert_even_edges(&mesh, 0.04);
+        assert_wide_angles(&mesh);
+        let surface = TriangleBvh::new(&source);
+        let from_source = |p: &Point3<f64>| {
+            let closest = surface.closest_point(p, 1.0);
+            closest.expect("within a metre").distance
+        };
+        assert!(largest(mesh.vertices.iter().map(from_source)) < 1e-9);
+        // Each face has the corner of its parent that it is to have, or no corner of it.
+        for (child, corners) in mesh.faces.iter().enumerate() {
+            let parent = coarse.faces[child / 4];
+            for vertex in corners {
+                let [p, q] = parents[*vertex as usize];
+                assert!(parent.contains(&p) && parent.contains(&q));
+            }
+            if child % 4 < 3 {
+                let corner = parent[child % 4];
+                assert!(corners.iter().any(|&v| parents[v as usize] == [corner; 2]));
+            }
+        }
+    }
+
+    #[test]
+    fn the_border_of_a_plane_stays_when_its_edges_are_halved() {
+        let source = plane(40);
+        let mesh = halved(&remeshed(&source, 0.1), &source).mesh;
+        assert_oriented_manifold(&mesh);
+        assert_eq!(euler_characteristic(&mesh), 1);
+        assert!((mesh.area_m2() - 0.7).abs() < 1e-9, "{}", mesh.area_m2());
+    }
+
     #[test]
     fn small_components_shrink_no_further_than_a_tetrahedron() {
         let source = level_set(10, |p| sphere(p, [0.0, 0.0, 0.0], 0.3));

@@ -315,7 +315,7 @@ fn read(
     let points = facets.iter().map(|(point, ..)| *point);
     Gaze::new(view).each(points, |index, look| {
         let (_, normal, a) = facets[index];
-        if !(look.observed > 0.0) {
+        if look.observed.is_nan() || look.observed <= 0.0 {
             return;
         }
         let p = look.point_camera;

@@ -220,4 +220,30 @@ mod tests {
         assert!(sigma > 0.0 && sigma < 0.05);
         assert!(linear.sample(63.5, 3.0).is_none());
     }
+
+    #[test]
+    fn many_places_show_what_each_does() {
+        let value = Image::from_vec(4, 3, (0..12).map(|k| (k * k) as f32).collect());
+        let mut value_with_hole = value.clone();
+        value_with_hole.data_mut()[10] = f32::NAN;
+        let image = LinearImage {
+            integrated: value.clone(),
+            sigma: value,
+            value: value_with_hole,
+        };
+        let line = |by: f32| std::array::from_fn(|lane| by * lane as f32);
+        let (columns, rows): (Lane, Lane) = (line(0.18), line(0.12));
+        let many = image.samples(&columns, &rows);
+        for (lane, (&u, &v)) in columns.iter().zip(&rows).enumerate() {
+            let one = image.sample(f64::from(u), f64::from(v));
+            let Some((value, gradient, sigma)) = one else {
+                assert!(many.value[lane].is_nan());
+                continue;
+            };
+            let close = |many: f32, one: f64| (f64::from(many) - one).abs() < 1e-4;
+            assert!(close(many.value[lane], value) && close(many.sigma[lane], sigma));
+            assert!((0..2).all(|axis| close(many.gradient[axis][lane], gradient[axis])));
+        }
+        assert!(many.value[0] == 0.0 && many.value[LANES - 1].is_nan());
+    }
 }
