@@ -46,7 +46,6 @@ pub fn phong(
             .collect(),
         buffer: rasterise(mesh, &camera, &camera_from_mesh),
         camera,
-        background: params.background.map(linear_from_srgb),
     };
     let (width, height) = (
         view.camera.intrinsics().width,
@@ -66,24 +65,31 @@ struct Scene<'a> {
     normals: Vec<Vector3<f64>>,
     buffer: DepthBuffer,
     camera: CameraModel,
-    background: [f64; 3],
 }
 
 impl Scene<'_> {
     /// Mean of the samples of a pixel, encoded.
     fn pixel(&self, u: usize, v: usize, params: &PhongParams) -> [u8; 3] {
-        let mut sum = [0.0; 3];
-        for sample in 0..SAMPLES * SAMPLES {
+        const N: usize = SAMPLES * SAMPLES;
+        let (mut grey, mut n_covered) = (0.0, 0);
+        for sample in 0..N {
             let (su, sv) = (
                 u * SAMPLES + sample % SAMPLES,
                 v * SAMPLES + sample / SAMPLES,
             );
-            let radiance = self
-                .sample(su, sv, params)
-                .map_or(self.background, |grey| [grey; 3]);
-            (0..3).for_each(|channel| sum[channel] += radiance[channel]);
+            if let Some(brightness) = self.sample(su, sv, params) {
+                grey += brightness;
+                n_covered += 1;
+            }
         }
-        sum.map(|total| srgb_from_linear(total / (SAMPLES * SAMPLES) as f64))
+        match n_covered {
+            0 => params.background,
+            N => [srgb_from_linear(grey / N as f64); 3],
+            _ => params.background.map(|code| {
+                let behind = (N - n_covered) as f64 * linear_from_srgb(code);
+                srgb_from_linear((grey + behind) / N as f64)
+            }),
+        }
     }
 
     /// Linear brightness of a sample; `None` where there is no surface.

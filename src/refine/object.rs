@@ -3,6 +3,7 @@
 
 use crate::geometry::{Pose, TriMesh};
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// An axis-aligned box in the world frame, metres.
@@ -192,8 +193,11 @@ pub fn dominant_plane(mesh: &TriMesh) -> Option<Plane> {
             offset_m: normal.dot(&point.coords),
         }
     });
+    let candidates: Vec<Plane> = candidates.collect();
+    let supports: Vec<f64> = candidates.par_iter().map(support).collect();
     let (mut plane, mut area) = candidates
-        .map(|plane| (plane, support(&plane)))
+        .into_iter()
+        .zip(supports)
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
     for _ in 0..5 {
         let Some(fitted) = fit_plane(&plane, &faces) else {
