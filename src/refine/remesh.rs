@@ -301,6 +301,20 @@ mod tests {
     }
 
     #[test]
+    fn a_cube_keeps_its_edges_when_those_of_its_mesh_are_halved() {
+        let source = level_set(40, |p| p.x.abs().max(p.y.abs()).max(p.z.abs()) - 0.71);
+        let length_m = 0.06;
+        let mesh = halved(&remeshed(&source, 2.0 * length_m), &source).mesh;
+        let surface = TriangleBvh::new(&mesh);
+        let cut_off = source.vertices.iter().map(|p| {
+            let closest = surface.closest_point(p, 1.0);
+            closest.expect("within a metre").distance
+        });
+        let cut_off_m = largest(cut_off);
+        assert!(cut_off_m < length_m, "{cut_off_m}");
+    }
+
+    #[test]
     fn the_border_of_a_plane_stays_when_its_edges_are_halved() {
         let source = plane(40);
         let mesh = halved(&remeshed(&source, 0.1), &source).mesh;

@@ -7,6 +7,10 @@ use crate::geometry::{TriMesh, TriangleBvh};
 /// Marks an edge that has no middle yet.
 const NONE: u32 = u32::MAX;
 
+/// Sharp edges, which the coarser mesh cuts off by half of one of its own, are found again: of a cube's by 1.2 of the finer
+/// mesh's edges after one, 0.85 after three, 0.8 after six; 0.7 where it was meshed so finely at once.
+const RELAXATIONS: usize = 3;
+
 /// A mesh with four faces for each of a coarser one: those of face `k` are `4k` to `4k + 3`.
 pub struct Subdivided {
     /// The mesh.
@@ -51,7 +55,9 @@ pub fn subdivide(
     let vertices = parents.iter().map(middle).collect();
     let flat = TriMesh { vertices, faces };
     let mut relaxed = DynamicMesh::new(&flat);
-    relax_onto(&mut relaxed, surface);
+    for _ in 0..RELAXATIONS {
+        relax_onto(&mut relaxed, surface);
+    }
     Subdivided {
         mesh: TriMesh {
             vertices: relaxed.positions,
