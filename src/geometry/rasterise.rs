@@ -63,12 +63,9 @@ fn draw(buffer: &mut DepthBuffer, face: u32, corners: [Corner; 3]) {
     if high.x < 0.0 || high.y < 0.0 {
         return;
     }
-    let (u0, v0) = (
-        low.x.max(0.0).ceil() as usize,
-        low.y.max(0.0).ceil() as usize,
-    );
-    let u1 = (high.x.floor() as usize).min(width - 1);
-    let v1 = (high.y.floor() as usize).min(height - 1);
+    let (u0, v0) = (first_from(low.x), first_from(low.y));
+    let u1 = (high.x as usize).min(width - 1);
+    let v1 = (high.y as usize).min(height - 1);
     // Most faces are smaller than a pixel and lie between their centres.
     if u0 > u1 || v0 > v1 {
         return;
@@ -104,6 +101,12 @@ fn draw(buffer: &mut DepthBuffer, face: u32, corners: [Corner; 3]) {
             }
         }
     }
+}
+
+/// The first pixel centre at or after a coordinate: processors without SSE 4.1 have no instruction for `ceil`.
+fn first_from(coordinate: f64) -> usize {
+    let whole = coordinate.max(0.0) as usize;
+    whole + usize::from((whole as f64) < coordinate)
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::gaze::Gaze;
 use super::optics::Optics;
+use super::rounds::radius_about;
 use super::scenes::{FULL_SCALE, calibration, optics};
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
@@ -97,6 +98,7 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
     let context = ViewContext {
         scene: &scene,
         centre: Point3::new(0.0, 0.0, EDGE_M),
+        radius_m: radius_about(&scene, &Point3::new(0.0, 0.0, EDGE_M)),
         optics: &optics,
         trust: &ImageTrust::default(),
         patches: &optics.patch_grid(),

@@ -16,6 +16,11 @@ struct Component {
 
 /// Values are grouped into so many bins first: a scan has hundreds of thousands.
 const BINS: usize = 400;
+/// Places that a further component may begin at.
+const N_SEEDS: usize = 12;
+/// Steps of expectation and maximisation at most, and the step of the means at which they end.
+const MAX_ITERATIONS: usize = 100;
+const SETTLED: f64 = 1e-4;
 /// Neighbouring facets err together over about this many; what they tell must not be taken for independent.
 pub const CORRELATED: f64 = 50.0;
 /// Components nearer than this many sigmas are one material.
@@ -30,16 +35,38 @@ const MIN_SHARE: f64 = 0.03;
 impl Mixture {
     /// Fits 1 to `max_components` components of a standard deviation of at least `min_sigma` and keeps the best count; NaN are
     /// left out. `None` without any value.
+    ///
+    /// Each count begins with what the one before found and one component more, which is tried at places all over the values: a
+    /// material of a tenth of the surface lies beside the quantiles that any one start would have.
     pub fn fit(values: &[f64], max_components: usize, min_sigma: f64) -> Option<Mixture> {
         let histogram = Histogram::new(values)?;
         let n = histogram.total() / CORRELATED;
-        let single = histogram.maximise(1, min_sigma);
-        let mut best = (single.information(&histogram, n), single);
+        let informed = |components| {
+            let mixture = histogram.maximised(components, min_sigma);
+            (mixture.information(&histogram, n), mixture)
+        };
+        let start = |mean, k: usize| Component {
+            share: (1.0 - OUTLIER_SHARE) / k as f64,
+            mean,
+            sigma: MAX_SPREAD * min_sigma,
+        };
+        let mut current = informed(vec![start(histogram.median(), 1)]);
+        let mut best = current.clone();
         for k in 2..=max_components {
-            let mixture = histogram.maximise(k, min_sigma);
-            let information = mixture.information(&histogram, n);
-            if information < best.0 && mixture.is_separated() {
-                best = (information, mixture);
+            let with_one_more = histogram.seeds().map(|seed| {
+                let rest = (k - 1) as f64 / k as f64;
+                let mut components = current.1.components.clone();
+                components.iter_mut().for_each(|c| c.share *= rest);
+                components.push(start(seed, k));
+                informed(components)
+            });
+            let separated = with_one_more.filter(|(_, mixture)| mixture.is_separated());
+            let Some(next) = separated.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+                break;
+            };
+            current = next;
+            if current.0 < best.0 {
+                best = current.clone();
             }
         }
         Some(best.1)
@@ -131,17 +158,16 @@ impl Histogram {
             .map(move |(bin, &count)| (centre(bin), count))
     }
 
-    /// Expectation and maximisation from means spread over the quantiles.
-    fn maximise(&self, k: usize, min_sigma: f64) -> Mixture {
-        let mut components: Vec<Component> = (0..k)
-            .map(|i| Component {
-                share: (1.0 - OUTLIER_SHARE) / k as f64,
-                mean: self.quantile((i as f64 + 0.5) / k as f64),
-                sigma: MAX_SPREAD * min_sigma,
-            })
-            .collect();
-        for _ in 0..100 {
-            let mut sums = vec![(0.0, 0.0, 0.0); k];
+    /// Places that a further component may begin at, evenly over the values.
+    fn seeds(&self) -> impl Iterator<Item = f64> + '_ {
+        let apart = self.width * BINS as f64 / N_SEEDS as f64;
+        (0..N_SEEDS).map(move |k| self.low + (k as f64 + 0.5) * apart)
+    }
+
+    /// Expectation and maximisation until the means stand still.
+    fn maximised(&self, mut components: Vec<Component>, min_sigma: f64) -> Mixture {
+        for _ in 0..MAX_ITERATIONS {
+            let mut sums = vec![(0.0, 0.0, 0.0); components.len()];
             for (value, count) in self.bins().filter(|(_, count)| *count > 0.0) {
                 let densities: Vec<f64> = components.iter().map(|c| c.density(value)).collect();
                 let total = densities.iter().sum::<f64>() + self.outliers();
@@ -154,10 +180,12 @@ impl Histogram {
                     );
                 }
             }
+            let mut moved = 0.0f64;
             for (component, (n, first, second)) in components.iter_mut().zip(sums) {
                 if n > 0.0 {
                     let mean = first / n;
                     let sigma = (second / n - mean * mean).max(0.0).sqrt();
+                    moved = moved.max((mean - component.mean).abs());
                     *component = Component {
                         share: n / self.total() * (1.0 - OUTLIER_SHARE),
                         mean,
@@ -165,13 +193,16 @@ impl Histogram {
                     };
                 }
             }
+            if moved < SETTLED {
+                break;
+            }
         }
         components.sort_by(|a, b| a.mean.total_cmp(&b.mean));
         Mixture { components }
     }
 
-    fn quantile(&self, share: f64) -> f64 {
-        let target = share * self.total();
+    fn median(&self) -> f64 {
+        let target = 0.5 * self.total();
         let mut sum = 0.0;
         self.bins()
             .find(|(_, count)| {
@@ -209,6 +240,15 @@ mod tests {
         assert_eq!(mixture.len(), 2);
         assert!((mixture.components[0].mean + 1.8).abs() < 0.02);
         assert!((mixture.components[1].mean + 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_painted_band_of_a_tenth_of_the_surface_is_a_material() {
+        let bright = around(&[-1.0], 90_000);
+        let dark = around(&[-1.8], 10_000);
+        let mixture = Mixture::fit(&[bright, dark].concat(), 6, 0.06).expect("values");
+        assert_eq!(mixture.len(), 2);
+        assert!((mixture.components[0].mean + 1.8).abs() < 0.02);
     }
 
     #[test]

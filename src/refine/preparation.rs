@@ -7,7 +7,7 @@ use super::held_out::{JudgedView, judge};
 use super::level::{Level, levels};
 use super::optics::Optics;
 use super::params::RefineParams;
-use super::rounds::{Rounds, State, centre_of};
+use super::rounds::{Rounds, State, centre_of, radius_about};
 use super::self_calibration::{Contradiction, Told, Tolerance, told_by_images};
 use super::sites::{Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
@@ -72,10 +72,8 @@ impl Preparation {
         };
         let centre = centre_of(object);
         // Meshing keeps one thread busy.
-        let (levels, mut views) = rayon::join(
-            || levels(object, &params),
-            || views_of(subject, &params, centre),
-        );
+        let (levels, mut views) =
+            rayon::join(|| levels(object, &params), || views_of(subject, &params));
         let levels = levels?;
         let mesh = &levels[0].mesh;
         let asked = levels
@@ -90,7 +88,7 @@ impl Preparation {
                 optics: &optics.with(calibration),
                 ..*subject
             };
-            views = views_of(&relit, &params, centre);
+            views = views_of(&relit, &params);
         }
         let base_sites = Sites::new(mesh, &views, first_views(views.len()));
         views.iter_mut().for_each(|view| view.gloss = told.gloss);
@@ -254,16 +252,18 @@ impl Preparation {
 }
 
 /// All shading images made ready.
-fn views_of(subject: &Subject, params: &RefineParams, centre: Point3<f64>) -> Vec<View> {
+fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
     let Subject {
         scene,
+        object,
         snapshots,
         optics,
-        ..
     } = *subject;
+    let centre = centre_of(object);
     let context = ViewContext {
         scene: &coarsened(scene, HIDING_CELL_M),
         centre,
+        radius_m: radius_about(object, &centre),
         optics,
         trust: &params.trust,
         patches: &optics.patch_grid(),
@@ -298,7 +298,7 @@ fn ask(
 /// What the images of a scan say against its calibration before its depth is corrected for good.
 pub fn contradiction_as_tracked(subject: &Subject, params: &RefineParams) -> Option<Contradiction> {
     let (object, optics) = (subject.object, subject.optics);
-    let views = views_of(subject, params, centre_of(object));
+    let views = views_of(subject, params);
     ask(object, &views, optics, params, Tolerance::AS_TRACKED).contradiction
 }
 

@@ -259,3 +259,12 @@ pub fn centre_of(mesh: &TriMesh) -> Point3<f64> {
         .fold(Vector3::zeros(), |sum, vertex| sum + vertex.coords);
     Point3::from(sum / mesh.vertices.len() as f64)
 }
+
+/// How far the farthest vertex is from a point, metres.
+pub fn radius_about(mesh: &TriMesh, centre: &Point3<f64>) -> f64 {
+    let squared = mesh
+        .vertices
+        .iter()
+        .map(|vertex| (vertex - centre).norm_squared());
+    squared.fold(0.0, f64::max).sqrt()
+}

@@ -5,7 +5,7 @@ use super::energy::{Problem, Surface};
 use super::numeric::JacobianMode;
 use super::observations::Observations;
 use super::optics::Optics;
-use super::rounds::{final_loss, prior_weights};
+use super::rounds::{final_loss, prior_weights, radius_about};
 use super::sites::Sites;
 use super::solver::{Pattern, SolverParams, minimise};
 use super::view::{ImageTrust, View, ViewContext};
@@ -222,9 +222,11 @@ pub fn views(hidden: &RippledPlane, base: &TriMesh, optics: &Optics, poses: &[Po
 /// Rendered images as they are believed to have been taken, placed against the mesh `base`.
 pub fn views_of(snapshots: &[ShadingSnapshot], base: &TriMesh, believed: &Optics) -> Vec<View> {
     let trust = ImageTrust::default();
+    let centre = Point3::new(0.0, 0.0, DISTANCE_M);
     let context = ViewContext {
         scene: base,
-        centre: Point3::new(0.0, 0.0, DISTANCE_M),
+        centre,
+        radius_m: radius_about(base, &centre),
         optics: believed,
         trust: &trust,
         patches: &believed.patch_grid(),

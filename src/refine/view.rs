@@ -18,6 +18,8 @@ pub struct ViewContext<'a> {
     pub scene: &'a TriMesh,
     /// Centre of the object, world frame.
     pub centre: Point3<f64>,
+    /// No point of the object is farther from its centre, metres.
+    pub radius_m: f64,
     /// Camera, light and response.
     pub optics: &'a Optics<'a>,
     /// How far Eq. (1) is believed.
@@ -147,6 +149,7 @@ impl View {
         let ViewContext {
             scene,
             centre,
+            radius_m,
             optics,
             trust,
             patches,
@@ -154,14 +157,10 @@ impl View {
         let camera = *optics.rays.camera();
         let camera_from_world = snapshot.world_from_camera.inverse();
         let camera_depth_m = rasterise(scene, &camera, &camera_from_world).depth_m;
-        let light_model = light_camera_model();
         let light_from_camera = nalgebra::Translation3::from(-optics.light.position.coords);
-        let light_depth_m = rasterise(
-            scene,
-            &light_model,
-            &(light_from_camera * camera_from_world),
-        )
-        .depth_m;
+        let light_from_world = light_from_camera * camera_from_world;
+        let light_model = light_camera_model(&(light_from_world * centre), radius_m);
+        let light_depth_m = rasterise(scene, &light_model, &light_from_world).depth_m;
         let counts = snapshot.lit_counts(optics.full_scale, optics.calibration.gamma);
         let mut linear = linearise(
             &counts,
@@ -322,17 +321,38 @@ impl View {
     }
 }
 
-/// The light's "camera" for shadows: a pinhole with the camera's orientation and a field of 100°.
-fn light_camera_model() -> CameraModel {
-    const SIDE: usize = 800;
-    let focal = SIDE as f64 / 2.0 / 50.0f64.to_radians().tan();
+/// The light's "camera" for shadows: a pinhole with the camera's orientation and of its field of 100° the part where the object is.
+fn light_camera_model(centre: &Point3<f64>, radius_m: f64) -> CameraModel {
+    const SIDE: f64 = 800.0;
+    // What is displaced, and pixels beside what is looked at.
+    const ROUND_IT: f64 = 1.2;
+    const LEAST: f64 = 16.0;
+    let focal = SIDE / 2.0 / 50.0f64.to_radians().tan();
+    let principal = (SIDE - 1.0) / 2.0;
+    let reach = ROUND_IT * radius_m;
+    let nearest = centre.z - reach;
+    let window = |along: f64| {
+        if nearest <= 0.0 {
+            return (0.0, SIDE);
+        }
+        let tangents = [along - reach, along + reach]
+            .into_iter()
+            .flat_map(|side| [side / nearest, side / (centre.z + reach)]);
+        let pixels = tangents.map(|tangent| principal + focal * tangent);
+        let (low, high) = pixels.fold((f64::MAX, f64::MIN), |(low, high), pixel| {
+            (low.min(pixel), high.max(pixel))
+        });
+        let first = low.floor().clamp(0.0, SIDE - LEAST);
+        (first, (high.ceil().min(SIDE) - first).max(LEAST))
+    };
+    let ((left, width), (top, height)) = (window(centre.x), window(centre.y));
     CameraModel::new(Intrinsics {
-        width: SIDE,
-        height: SIDE,
+        width: width as usize,
+        height: height as usize,
         fx: focal,
         fy: focal,
-        cx: (SIDE - 1) as f64 / 2.0,
-        cy: (SIDE - 1) as f64 / 2.0,
+        cx: principal - left,
+        cy: principal - top,
         k1: 0.0,
         k2: 0.0,
         p1: 0.0,
