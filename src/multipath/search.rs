@@ -27,7 +27,7 @@ pub struct NextWhite {
 const PLAUSIBLE_SIGMA: f64 = 0.35;
 /// Disagreement of views that has other causes and looks like multipath all the same, metres: what sensors do at slanting
 /// incidence beside.
-const OTHER_CAUSES_M: f64 = 1e-4;
+const OTHER_CAUSES_M: f64 = 3e-5;
 /// Share of a wrong strength that tracking and fusion do not hide: 0.4 to 0.6 on the recorded scans.
 const SHOWN_SHARE: f64 = 0.5;
 /// Shares beyond these bounds are noise.

@@ -334,6 +334,7 @@ impl DepthCorrection {
             white_level = white.map(|white| white.0),
             strength_change = evidence.slope,
             sigma = evidence.sigma,
+            predicted_mm = 1e3 * evidence.predicted_m,
             disagreement_mm = 1e3 * evidence.residual_m,
             patches = evidence.n_patches,
             "multipath: how well the views of one place agree"
