@@ -52,6 +52,8 @@ const PATCH_M: f64 = 0.01;
 const FACETS: f64 = 60.0;
 /// Facets that a view must see of a patch.
 const MIN_FACETS: usize = 20;
+/// And the share of its area: where its rim is hidden by a fold or a tooth, that rim is the surface's error.
+const MIN_SEEN_SHARE: f64 = 0.8;
 /// Views that must see a patch: it has three unknowns of its own.
 const MIN_VIEWS: usize = 4;
 /// Fewer patches say nothing.
@@ -290,7 +292,9 @@ impl LitPatch {
             let seen: Vec<_> = seen
                 .map(|(face, normal, area)| (&sites.points[face], normal, area))
                 .collect();
-            read(index, view, &seen, &tilts, optics.calibration)
+            let seen_m2: f64 = seen.iter().map(|(.., area)| area).sum();
+            (seen_m2 >= MIN_SEEN_SHARE * area_m2)
+                .then(|| read(index, view, &seen, &tilts, optics.calibration))?
         });
         let readings: Vec<Reading> = readings.collect();
         (readings.len() >= MIN_VIEWS).then(|| LitPatch {
