@@ -3,13 +3,15 @@
 //! All are ratios of sums, `Σ w s I / Σ w s²` with `s = gain (n·l)/d²`; the mean of ratios that the paper prints is biased
 //! by grazing samples. Groups are the components of a mixture of Gaussians on log albedo whose number the Bayesian information
 //! criterion chooses, or the paper's clusters; facets are given to them by Eq. (4), neighbours together, by expansion moves.
-//! This is where a round begins: `minimise` then moves the groups' albedos together with the surface.
+//! This is where a round begins: `minimise` then moves the groups' albedos together with the surface. Within a group albedo may
+//! change slowly, as the base surface tells it (`tint`).
 
 use super::clusters::Clusters;
 use super::expansion::Labelling;
 use super::mixture::{CORRELATED, Mixture};
 use super::observations::Observations;
 use super::sites::Sites;
+use super::tint::tints;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
 use rayon::prelude::*;
@@ -27,21 +29,34 @@ pub enum AlbedoMode {
 }
 
 /// What is to be known of the groups.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AlbedoParams {
     /// How facets are put into groups.
     pub mode: AlbedoMode,
+    /// Whether albedo may change slowly within a group; never in the paper's mode.
+    pub tints: bool,
+}
+
+impl Default for AlbedoParams {
+    fn default() -> Self {
+        AlbedoParams {
+            mode: AlbedoMode::default(),
+            tints: true,
+        }
+    }
 }
 
 /// Numerator and denominator of a ratio of sums.
-type Ratio = (f64, f64);
+pub type Ratio = (f64, f64);
 
 /// Albedo times the light's strength, m², by facet and by group.
 #[derive(Clone, Debug)]
 pub struct Albedo {
-    /// Albedo of each facet: that of its group.
+    /// Albedo of each facet: that of its group times its tint.
     pub by_face: Vec<f64>,
+    /// By which factor each facet differs from its group; it changes slowly over the surface.
+    pub tints: Vec<f64>,
     /// Group of each facet.
     pub labels: Vec<u8>,
     /// Albedo of each group, ascending.
@@ -52,6 +67,8 @@ pub struct Albedo {
 
 /// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
+/// A facet keeps its tint while the logarithm of its group's albedo changes by no more.
+const SAME_GROUP: f64 = 0.1;
 /// Cost of each neighbour in another group, in units of an independent negative log likelihood: V of Eq. (4).
 const POTTS: f64 = 1.5;
 
@@ -101,7 +118,46 @@ impl Albedo {
             neighbours,
             pair_cost,
         };
-        Some(Self::of_labels(labelling.solve(), n_groups, &ratios))
+        let albedo = Self::of_labels(labelling.solve(), n_groups, &ratios);
+        Some(match current {
+            Some((before, _)) => {
+                let kept = before.kept_tints(&albedo);
+                albedo.tinted(kept, &ratios)
+            }
+            None => albedo,
+        })
+    }
+
+    /// The same groups with what changes slowly within them, as the sites of the base surface tell it.
+    pub fn with_tints(self, sites: &Sites, observations: &Observations, loss: Tukey) -> Albedo {
+        let ratios = ratios(sites, observations, Some((&self, loss)));
+        let tints = tints(sites, &self.labels, &self.groups, &ratios);
+        self.tinted(tints, &ratios)
+    }
+
+    /// The tints of those facets that stay in a group of the same albedo.
+    fn kept_tints(&self, next: &Albedo) -> Vec<f64> {
+        let group = |albedo: &Albedo, face: usize| albedo.groups[albedo.labels[face] as usize];
+        let kept = |(face, &tint): (usize, &f64)| {
+            let change = (group(next, face) / group(self, face)).ln();
+            if change.abs() < SAME_GROUP { tint } else { 1.0 }
+        };
+        self.tints.iter().enumerate().map(kept).collect()
+    }
+
+    /// The same labels with other tints, and the albedos of the groups as Eq. (2) has them then.
+    fn tinted(self, tints: Vec<f64>, ratios: &[Ratio]) -> Albedo {
+        let n_groups = self.groups.len();
+        let untinted = ratios.iter().zip(&tints);
+        let untinted: Vec<Ratio> = untinted
+            .map(|((n, d), tint)| (n * tint, d * tint * tint))
+            .collect();
+        let albedo = Self::of_labels(self.labels, n_groups, &untinted);
+        Albedo {
+            by_face: by_face(&albedo.groups, &albedo.labels, &tints),
+            tints,
+            ..albedo
+        }
     }
 
     /// The albedos of given groups: Eq. (2) within each.
@@ -119,7 +175,8 @@ impl Albedo {
             .iter()
             .map(|&(n, d)| if d > 0.0 { n / d } else { overall })
             .collect();
-        let by_face: Vec<f64> = labels.iter().map(|&label| groups[label as usize]).collect();
+        let tints = vec![1.0; labels.len()];
+        let by_face = by_face(&groups, &labels, &tints);
         let mut offsets: Vec<f64> = ratios
             .iter()
             .zip(&by_face)
@@ -128,6 +185,7 @@ impl Albedo {
             .collect();
         Albedo {
             by_face,
+            tints,
             labels,
             groups,
             spread: median_absolute_deviation(&mut offsets),
@@ -136,8 +194,7 @@ impl Albedo {
 
     /// Gives the groups other albedos.
     pub fn repaint(&mut self, groups: Vec<f64>) {
-        let labels = self.labels.iter();
-        self.by_face = labels.map(|&label| groups[label as usize]).collect();
+        self.by_face = by_face(&groups, &self.labels, &self.tints);
         self.groups = groups;
     }
 
@@ -191,6 +248,11 @@ impl Albedo {
             .map(|count| count as f64 / self.labels.len().max(1) as f64)
             .collect()
     }
+}
+
+fn by_face(groups: &[f64], labels: &[u8], tints: &[f64]) -> Vec<f64> {
+    let of_face = |(&label, tint): (&u8, &f64)| groups[label as usize] * tint;
+    labels.iter().zip(tints).map(of_face).collect()
 }
 
 /// The data term of Eq. (4): the cost of every group for every facet, facet by facet.

@@ -42,6 +42,8 @@ pub struct Problem<'a> {
     pub observations: &'a Observations,
     /// Group of albedo of each face.
     pub labels: &'a [u8],
+    /// By which factor the albedo of each face differs from its group's.
+    pub tints: &'a [f64],
     /// Scale of the residuals in sigmas, and the Tukey cut-off in that scale.
     pub loss: Tukey,
     /// Priors.
@@ -140,7 +142,7 @@ impl Problem<'_> {
     }
 
     fn albedo_of(&self, face: usize, albedos: &[f64]) -> f64 {
-        albedos[self.labels[face] as usize]
+        albedos[self.labels[face] as usize] * self.tints[face]
     }
 
     /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held.

@@ -104,6 +104,7 @@ impl Rounds<'_> {
         let problem = Problem {
             observations: &observations,
             labels: &albedo.labels,
+            tints: &albedo.tints,
             loss: final_loss(observations.residual_scale(sites, &albedo.by_face)),
             priors: self.prior_weights(),
             edges: &self.level.edges,

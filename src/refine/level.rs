@@ -119,6 +119,7 @@ impl Level {
             albedo: Albedo {
                 by_face: of_children(&albedo.by_face),
                 labels: of_children(&albedo.labels),
+                tints: of_children(&albedo.tints),
                 ..albedo.clone()
             },
         }
@@ -179,6 +180,7 @@ mod tests {
             views: Vec::new(),
             albedo: Albedo {
                 by_face: labels.iter().map(|&label| f64::from(label)).collect(),
+                tints: vec![1.0; labels.len()],
                 labels,
                 groups: vec![0.0, 1.0],
                 spread: 0.0,

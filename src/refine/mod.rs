@@ -48,6 +48,7 @@ mod solver;
 pub mod stages;
 #[cfg(test)]
 mod tests;
+mod tint;
 mod view;
 
 pub use albedo::{AlbedoMode, AlbedoParams};

@@ -1,6 +1,6 @@
 //! One outer round: visibility, the views' poses and gains, albedo, then displacements.
 
-use super::albedo::{Albedo, Groups};
+use super::albedo::{Albedo, AlbedoMode, AlbedoParams, Groups};
 use super::alignment::{AlignmentTarget, align_view};
 use super::energy::{PriorWeights, Problem, Surface};
 use super::level::Level;
@@ -52,6 +52,14 @@ impl Rounds<'_> {
             let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
             let current = Some((&albedo, loss));
             albedo = self.estimate_albedo(sites, &observations, current)?;
+        }
+        let AlbedoParams { mode, tints } = self.params.albedo;
+        if tints && mode == AlbedoMode::Mixture {
+            // What is stained is an outlier at first.
+            for _ in 0..3 {
+                let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
+                albedo = albedo.with_tints(sites, &observations, loss);
+            }
         }
         Some(albedo)
     }
@@ -110,6 +118,7 @@ impl Rounds<'_> {
         let problem = Problem {
             observations: &observations,
             labels: &albedo.labels,
+            tints: &albedo.tints,
             loss,
             priors: self.prior_weights(),
             edges: &self.level.edges,

@@ -160,6 +160,7 @@ impl Stages {
         Problem {
             observations: &self.observations,
             labels: &self.state.albedo.labels,
+            tints: &self.state.albedo.tints,
             loss: self.loss,
             priors: rounds.prior_weights(),
             patches: &rounds.level.patches,

@@ -95,6 +95,7 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         with("albedo groups by the paper's rule", &|params| {
             params.albedo = AlbedoParams {
                 mode: AlbedoMode::Paper,
+                ..params.albedo
             };
         }),
     ]);
