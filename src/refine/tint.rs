@@ -23,7 +23,7 @@ const MIN_FACETS: usize = 8;
 const MIN_VIEWS: u32 = 4;
 /// Standard deviation of the logarithm of a patch's brightness that has other causes: tilts of the fused surface, light over other
 /// surfaces. Patches of one albedo differ by 0.006 to 0.023 on fused surfaces.
-const OTHER_CAUSES: f64 = 0.015;
+const OTHER_CAUSES: f64 = 0.02;
 /// A larger change is another material or a shadow; arbitrary.
 const MAX_LOG_TINT: f64 = 0.35;
 
