@@ -267,6 +267,7 @@ pub fn solved_from_plane(
     let problem = Problem {
         observations: &Observations::new(&sites, &views),
         labels: &vec![0; surface.mesh.faces.len()],
+        tints: &vec![1.0; surface.mesh.faces.len()],
         loss: final_loss(3.0),
         priors: prior_weights(&params, spacing_m),
         patches: &patches,

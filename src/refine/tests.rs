@@ -60,6 +60,9 @@ fn gradient_matches_central_differences_of_the_energy() {
         labels: &(0..surface.mesh.faces.len())
             .map(|face| (face % 2) as u8)
             .collect::<Vec<_>>(),
+        tints: &(0..surface.mesh.faces.len())
+            .map(|face| 1.0 + 0.1 * (0.1 * face as f64).sin())
+            .collect::<Vec<_>>(),
         loss: Tukey {
             scale: 2.0,
             cutoff: 4.685,

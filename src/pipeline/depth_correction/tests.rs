@@ -132,5 +132,6 @@ fn a_scan_is_revised_by_the_calibration_that_was_found_since() {
     correction.recalibrate(&calibration(1.0), &fusion);
     let recalibrated = revised(&correction, &fusion);
     let (before, after) = (apart(&wrong, &right), apart(&recalibrated, &right));
-    assert!(after < 0.2 * before, "{before} m, {after} m");
+    // Views tell each its own white level.
+    assert!(after < 0.3 * before, "{before} m, {after} m");
 }
