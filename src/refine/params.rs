@@ -54,7 +54,7 @@ impl Default for RefineParams {
             patch_sigma_m: 0.00018,
             slope_sigma_rad: 0.15,
             jacobian: JacobianMode::Analytic,
-            max_albedos: 4,
+            max_albedos: 6,
             interreflection: true,
             albedo: AlbedoParams::default(),
             trust: ImageTrust::default(),
