@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from board_light_law import rays
-from other_surroundings import save, unit
+from other_surroundings import unit
 
 CAMERA = {"width": 512, "height": 424, "fx": 365.6, "fy": 365.6, "cx": 256.8, "cy": 205.3,
           "k1": 0.0905, "k2": -0.2675, "p1": 0.0, "p2": 0.0, "k3": 0.0949}
@@ -79,7 +79,7 @@ def vase(random):
     belly = np.exp(-((up - 0.42) / 0.2) ** 4)
     r = r + 0.0008 * belly * np.cos(36 * (theta + 1.5 * up))
     around = theta * 0.08
-    beads = [(0.02 * 2 * np.pi * i / 8 * 2, 0.172) for i in range(16)]
+    beads = [(0.08 * 2 * np.pi * i / 16, 0.172) for i in range(16)]
     r = r + bumps(around[None, :], z[:, None], beads, 0.005, 0.0015)
     albedo = np.where((np.abs(up - 0.62) < 0.05) | (np.abs(up - 0.17) < 0.03), 0.32, 0.7) * np.ones_like(theta)
     bottom_and_top = [turned(np.outer(np.linspace(1e-4, 1, 120), r[k]), np.full(120, z[k]), theta, albedo[k]) for k in (0, -1)]
@@ -226,7 +226,7 @@ def path(kind, n, centre, random):
     forward = unit(target - at)
     right = unit(np.cross(forward, [0, 0, 1.0]))
     frame = np.stack([right, np.cross(forward, right), forward], -1)
-    poses[:, :3, :3] = frame @ Rotation.from_rotvec(np.stack([0 * s, 0 * s, 0.25 * waver[:, 4]], 1)).as_matrix()
+    poses[:, :3, :3] = frame @ Rotation.from_euler("z", 0.25 * waver[:, 4:5]).as_matrix()
     poses[:, :3, 3] = at
     return poses
 
