@@ -114,6 +114,14 @@ mod tests {
     }
 
     #[test]
+    fn a_small_object_whose_brightness_misleads_is_told_by_views_that_should_differ_by_little() {
+        for (plausible, truth) in [(2.4, 1.7), (1.0, 1.6)] {
+            let strength = found(plausible, truth, 0.4, 3e-4);
+            assert!((strength / truth - 1.0).abs() < 0.15, "{truth}: {strength}");
+        }
+    }
+
+    #[test]
     fn where_views_agree_without_multipath_hardly_any_is_left() {
         assert!(found(0.9, 0.0, 0.5, 4e-3) < 0.15);
     }

@@ -321,3 +321,23 @@ pub fn face_neighbours(sides: &[[u32; 3]], n_edges: usize) -> Vec<[u32; 3]> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_facet_keeps_its_tint_until_it_goes_to_another_material() {
+        let ratios = [(0.3, 1.0), (0.3, 1.0), (0.7, 1.0), (0.7, 1.0)];
+        let tints = vec![0.9, 1.1, 0.9, 1.1];
+        let before = Albedo::of_labels(vec![0, 0, 1, 1], 2, &ratios).tinted(tints, &ratios);
+        for (albedo, tint) in before.by_face.iter().zip([0.9, 1.1]) {
+            assert!((albedo / before.groups[0] - tint).abs() < 1e-12);
+        }
+        let next = Albedo {
+            labels: vec![0, 0, 0, 1],
+            ..before.clone()
+        };
+        assert_eq!(before.kept_tints(&next), [0.9, 1.1, 1.0, 1.1]);
+    }
+}

@@ -391,3 +391,43 @@ fn mask_edges_and_occluders(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pixels beside the outermost that a point is looked for in.
+    const MARGIN_PX: f64 = 2.0;
+
+    #[test]
+    fn the_light_looks_at_all_of_the_object_and_at_little_else() {
+        let radius_m = 0.12;
+        for centre in [(0.0, 0.0, 0.6), (0.2, -0.1, 0.5), (-0.3, 0.2, 1.2)] {
+            let centre = Point3::new(centre.0, centre.1, centre.2);
+            let light = light_camera_model(&centre, radius_m);
+            let corners = (-2..=2).flat_map(|i| (-2..=2).map(move |j| (i, j)));
+            for (i, j) in corners {
+                for k in -2..=2 {
+                    let direction = Vector3::new(f64::from(i), f64::from(j), f64::from(k));
+                    let Some(direction) = direction.try_normalize(0.0) else {
+                        continue;
+                    };
+                    let point = centre + direction * radius_m;
+                    let pixel = light.project(&point).expect("before the light");
+                    assert!(light.contains(&pixel, MARGIN_PX), "{point}: {pixel}");
+                }
+            }
+            let Intrinsics { width, height, .. } = *light.intrinsics();
+            assert!(width * height < 800 * 800 / 4, "{width} by {height}");
+        }
+    }
+
+    #[test]
+    fn what_stands_round_the_light_or_beside_its_field_leaves_an_image() {
+        for centre in [(0.0, 0.0, 0.1), (3.0, 0.0, 0.5), (-3.0, -3.0, 0.5)] {
+            let centre = Point3::new(centre.0, centre.1, centre.2);
+            let Intrinsics { width, height, .. } = *light_camera_model(&centre, 0.12).intrinsics();
+            assert!((16..=800).contains(&width) && (16..=800).contains(&height));
+        }
+    }
+}
