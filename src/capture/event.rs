@@ -81,6 +81,11 @@ pub enum EventKind {
     },
     /// The operator began anew.
     Reset,
+    /// The camera has come back, and drift was taken back: model and poses have moved.
+    LoopsClosed {
+        /// How far the camera's last pose was moved, metres.
+        moved_m: f64,
+    },
     /// What the operator asked for could not be done.
     Refused {
         /// What was asked for.

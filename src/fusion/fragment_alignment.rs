@@ -2,13 +2,15 @@
 
 use super::eye::Eye;
 use super::fragments::{FRAGMENT_LEVEL, Fragment};
-use super::icp::{is_small, rows, turn};
+use super::icp::{Rotation, is_small, rows, turn};
+use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, TileSums, huber_weight};
 use super::raycast::ModelMap;
 use crate::geometry::Lens;
 use crate::geometry::Pose;
-use crate::geometry::lanes::LANES;
+use crate::geometry::lanes::{LANES, Lane};
 use nalgebra::{Matrix6, Vector3};
+use pulp::{Arch, Simd, WithSimd};
 
 /// How a fragment stands against another.
 #[derive(Clone, Debug)]
@@ -52,12 +54,11 @@ impl Overlap {
     }
 }
 
-/// Largest distance of a pair of points, metres: what a full turn drifts, then what noise and slant leave.
-const MAX_DISTANCE_M: [f32; 3] = [0.04, 0.02, 0.01];
+/// Largest distance of a pair of points, metres: what a full turn drifts, then what noise and slant leave; and whether few points
+/// do.
+const STAGES: [(f32, bool); 3] = [(0.04, true), (0.02, true), (0.01, false)];
 /// Iterations at each of them, at most.
 const ITERATIONS: usize = 8;
-/// One row in so many, and one column: averaged surfaces have little noise left that more points would take off.
-const POINT_STEP: usize = 2;
 /// Largest angle between the normals of a pair: 40°.
 const MIN_NORMAL_COSINE: f32 = 0.766;
 
@@ -71,10 +72,16 @@ pub(super) fn align(
 ) -> Option<Alignment> {
     let mut target_from_source = *guess;
     let mut last = None;
-    for max_distance_m in MAX_DISTANCE_M {
+    for (max_distance_m, do_few) in STAGES {
+        let points = source.points.lanes(do_few);
         for _ in 0..ITERATIONS {
-            let moved = Moved::new(&target_from_source);
-            let equations = point_to_plane(&source.map, &target.map, &moved, eye, max_distance_m);
+            let target = Target {
+                map: &target.map,
+                lens: lens(eye),
+                moved: Moved::new(&target_from_source),
+                max_distance_squared: max_distance_m * max_distance_m,
+            };
+            let equations = point_to_plane(eye.arch, points, &target);
             let step = equations.solve(&Vector3::zeros())?;
             target_from_source = step * target_from_source;
             last = Some(equations);
@@ -92,7 +99,7 @@ pub(super) fn align(
 
 /// A relative pose in single precision.
 struct Moved {
-    rotation: [[f32; 3]; 3],
+    rotation: Rotation,
     translation: [f32; 3],
 }
 
@@ -104,89 +111,188 @@ impl Moved {
         }
     }
 
-    fn point(&self, point: &Vector3<f32>) -> Vector3<f32> {
-        turn(&self.rotation, point.as_ref(), &self.translation).into()
-    }
-
-    fn normal(&self, normal: &Vector3<f32>) -> Vector3<f32> {
-        turn(&self.rotation, normal.as_ref(), &[0.0; 3]).into()
+    /// Where points come to lie, metres, and in which pixels.
+    #[inline(always)]
+    fn places(&self, points: &PointLanes, lens: &Lens) -> ([Lane; 3], [u32; LANES]) {
+        let (mut places, mut pixels) = ([[0.0; LANES]; 3], [0; LANES]);
+        for i in 0..LANES {
+            let [x, y, z] = &points.point;
+            let point = [x[i], y[i], z[i]];
+            let place = turn(&self.rotation, &point, &self.translation);
+            pixels[i] = lens.pixel_index(place);
+            for axis in 0..3 {
+                places[axis][i] = place[axis];
+            }
+        }
+        (places, pixels)
     }
 }
 
-/// Rows of points that are summed in one go.
-const TILE_ROWS: usize = 8;
+/// What points are aligned to, and how far.
+struct Target<'a> {
+    map: &'a ModelMap,
+    lens: &'a Lens,
+    moved: Moved,
+    max_distance_squared: f32,
+}
 
-fn point_to_plane(
-    source: &ModelMap,
-    target: &ModelMap,
-    moved: &Moved,
-    eye: &Eye,
-    max_distance_m: f32,
-) -> NormalEquations {
-    let (width, height) = (source.points.width(), source.points.height());
-    let n_rows = height.div_ceil(POINT_STEP);
-    NormalEquations::of_tiles(n_rows.div_ceil(TILE_ROWS), |tile| {
-        let (mut sums, mut rows, mut n_filled) = (TileSums::ZERO, Rows::EMPTY, 0);
-        for row in tile * TILE_ROWS..((tile + 1) * TILE_ROWS).min(n_rows) {
-            for u in (0..width).step_by(POINT_STEP) {
-                let pixel = row * POINT_STEP * width + u;
-                let pair = pair_of(source, pixel, target, moved, eye, max_distance_m);
-                let Some((point, normal, residual, weight)) = pair else {
-                    continue;
-                };
-                rows.set(n_filled, &point, &normal, residual, weight);
-                n_filled += 1;
-                if n_filled == LANES {
-                    sums.add(&rows);
-                    (rows, n_filled) = (Rows::EMPTY, 0);
-                }
-            }
-        }
-        sums.add(&rows);
-        sums
+/// Lanes of points that are summed in one go.
+const TILE: usize = 64;
+
+fn point_to_plane(arch: Arch, points: &[PointLanes], target: &Target) -> NormalEquations {
+    NormalEquations::of_tiles(points.len().div_ceil(TILE), |tile| {
+        let points = &points[tile * TILE..];
+        let points = &points[..points.len().min(TILE)];
+        arch.dispatch(SumTile { points, target })
     })
 }
 
-/// The moved point of a pixel, the normal of the target where it comes to lie, its distance and weight.
-fn pair_of(
-    source: &ModelMap,
-    pixel: usize,
-    target: &ModelMap,
-    moved: &Moved,
-    eye: &Eye,
-    max_distance_m: f32,
-) -> Option<(Vector3<f32>, Vector3<f32>, f32, f32)> {
-    let (point, normal) = (&source.points.data()[pixel], &source.normals.data()[pixel]);
-    if *normal == Vector3::zeros() {
-        return None;
+struct SumTile<'a> {
+    points: &'a [PointLanes],
+    target: &'a Target<'a>,
+}
+
+impl WithSimd for SumTile<'_> {
+    type Output = TileSums;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> TileSums {
+        let (mut sums, mut rows) = (TileSums::ZERO, Rows::EMPTY);
+        for points in self.points {
+            self.target.residuals(points, &mut rows);
+            sums.add(&rows);
+        }
+        sums
     }
-    let place = moved.point(point);
-    let (plane_point, plane_normal) = seen_at(target, lens(eye), &place)?;
-    let offset = place - plane_point;
-    if moved.normal(normal).dot(plane_normal) < MIN_NORMAL_COSINE
-        || offset.norm_squared() > max_distance_m * max_distance_m
-    {
-        return None;
+}
+
+impl Target<'_> {
+    /// Where moved points lie against the plane of the surface that is seen in their pixel; a weight of 0 where there is none.
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
+    #[inline(always)]
+    fn residuals(&self, points: &PointLanes, rows: &mut Rows) {
+        let pixels;
+        (rows.lever, pixels) = self.moved.places(points, self.lens);
+        let mut plane = [[0.0; LANES]; 3];
+        let (map_points, map_normals) = (self.map.points.data(), self.map.normals.data());
+        for i in 0..LANES {
+            let pixel = pixels[i] as usize;
+            let found = map_points.get(pixel).zip(map_normals.get(pixel));
+            for axis in 0..3 {
+                plane[axis][i] = found.map_or(0.0, |(point, _)| point[axis]);
+                rows.normal[axis][i] = found.map_or(0.0, |(_, normal)| normal[axis]);
+            }
+        }
+        for i in 0..LANES {
+            let [x, y, z] = &points.normal;
+            let normal = turn(&self.moved.rotation, &[x[i], y[i], z[i]], &[0.0; 3]);
+            let (mut cosine, mut residual, mut squared) = (0.0, 0.0, 0.0);
+            let (mut towards, mut far_squared) = (0.0, 0.0);
+            for axis in 0..3 {
+                let offset = rows.lever[axis][i] - plane[axis][i];
+                cosine += normal[axis] * rows.normal[axis][i];
+                residual += offset * rows.normal[axis][i];
+                squared += offset * offset;
+                towards -= plane[axis][i] * rows.normal[axis][i];
+                far_squared += plane[axis][i] * plane[axis][i];
+            }
+            // Without a normal of either the cosine is 0.
+            let counts = (cosine >= MIN_NORMAL_COSINE)
+                & (squared <= self.max_distance_squared)
+                & (towards > 0.0);
+            let incidence = points.incidence[i] * (towards / far_squared.sqrt());
+            rows.residual[i] = residual;
+            rows.weight[i] = if counts {
+                incidence * huber_weight(residual, points.sigma_m[i])
+            } else {
+                0.0
+            };
+        }
     }
-    let residual = plane_normal.dot(&offset);
-    let incidence = cosine(point, normal) * cosine(plane_point, plane_normal);
-    let weight = incidence * huber_weight(residual, eye.noise.sigma_m(point.z));
-    Some((place, *plane_normal, residual, weight))
+}
+
+/// Points of a fragment, anchor frame.
+#[derive(Clone, Debug)]
+struct PointLanes {
+    /// Metres.
+    point: [Lane; 3],
+    /// Zero where there is no point.
+    normal: [Lane; 3],
+    /// Cosine of the angle at which the point was seen.
+    incidence: Lane,
+    /// Standard deviation of its depth, metres.
+    sigma_m: Lane,
+}
+
+impl PointLanes {
+    const EMPTY: PointLanes = PointLanes {
+        point: [[0.0; LANES]; 3],
+        normal: [[0.0; LANES]; 3],
+        incidence: [0.0; LANES],
+        // No divisor is zero.
+        sigma_m: [1.0; LANES],
+    };
+}
+
+/// The points by which a fragment is aligned to others: of one row in two and one column, since averaged surfaces have little noise left that
+/// more points would take off.
+#[derive(Clone, Debug)]
+pub(super) struct AlignedPoints {
+    /// Those of one row in four and one column first.
+    lanes: Vec<PointLanes>,
+    n_few: usize,
+}
+
+impl AlignedPoints {
+    /// The points of a fragment as its anchor sees it.
+    pub(super) fn of(map: &ModelMap, noise: &DepthNoise) -> Self {
+        let (width, height) = (map.points.width(), map.points.height());
+        let is_few = |u: usize, v: usize| u.is_multiple_of(4) && v.is_multiple_of(4);
+        let mut lanes = Vec::new();
+        let mut take = |wanted: bool| {
+            let mut n_taken = 0;
+            for v in (0..height).step_by(2) {
+                for u in (0..width).step_by(2).filter(|&u| is_few(u, v) == wanted) {
+                    let (point, normal) = (map.points.at(u, v), map.normals.at(u, v));
+                    if *normal == Vector3::zeros() {
+                        continue;
+                    }
+                    let lane = n_taken % LANES;
+                    if lane == 0 {
+                        lanes.push(PointLanes::EMPTY);
+                    }
+                    let last = lanes
+                        .last_mut()
+                        .expect("there is one since the first point");
+                    for axis in 0..3 {
+                        last.point[axis][lane] = point[axis];
+                        last.normal[axis][lane] = normal[axis];
+                    }
+                    last.incidence[lane] = cosine(point, normal);
+                    last.sigma_m[lane] = noise.sigma_m(point.z);
+                    n_taken += 1;
+                }
+            }
+            lanes.len()
+        };
+        let n_few = take(true);
+        take(false);
+        AlignedPoints { lanes, n_few }
+    }
+
+    fn lanes(&self, do_few: bool) -> &[PointLanes] {
+        match do_few {
+            true => &self.lanes[..self.n_few],
+            false => &self.lanes,
+        }
+    }
 }
 
 fn lens(eye: &Eye) -> &Lens {
     &eye.level(FRAGMENT_LEVEL).lens
-}
-
-/// Point and normal of a map in the pixel in which a point lies, if it has a surface there.
-fn seen_at<'a>(
-    map: &'a ModelMap,
-    lens: &Lens,
-    point: &Vector3<f32>,
-) -> Option<(&'a Vector3<f32>, &'a Vector3<f32>)> {
-    let pixel = lens.pixel_index((*point).into()) as usize;
-    let normal = map.normals.data().get(pixel)?;
-    (*normal != Vector3::zeros()).then(|| (&map.points.data()[pixel], normal))
 }
 
 /// Cosine of the incidence at which a point was seen.
@@ -203,41 +309,67 @@ pub(super) fn mutual_overlap(
     eye: &Eye,
     margin_m: f32,
 ) -> Overlap {
-    let (forth, back) = (target_from_source, target_from_source.inverse());
-    overlap(&source.map, &target.map, forth, lens(eye), margin_m).plus(overlap(
-        &target.map,
-        &source.map,
-        &back,
-        lens(eye),
-        margin_m,
-    ))
+    let seen_by = |points: &AlignedPoints, map, moved| {
+        let lens = lens(eye);
+        let (few, moved) = (points.lanes(true), Moved::new(moved));
+        eye.arch.dispatch(SumOverlap {
+            points: few,
+            map,
+            lens,
+            moved,
+            margin_m,
+        })
+    };
+    let forth = seen_by(&source.points, &target.map, target_from_source);
+    let back = seen_by(&target.points, &source.map, &target_from_source.inverse());
+    forth.plus(back)
 }
 
-fn overlap(
-    source: &ModelMap,
-    target: &ModelMap,
-    target_from_source: &Pose,
-    lens: &Lens,
+/// What a map shows of moved points.
+struct SumOverlap<'a> {
+    points: &'a [PointLanes],
+    map: &'a ModelMap,
+    lens: &'a Lens,
+    moved: Moved,
     margin_m: f32,
-) -> Overlap {
-    /// One row in so many, and one column, tells as much as all.
-    const STEP: usize = 4;
-    let moved = Moved::new(target_from_source);
-    let mut overlap = Overlap::default();
-    for v in (0..source.points.height()).step_by(STEP) {
-        for u in (0..source.points.width()).step_by(STEP) {
-            if *source.normals.at(u, v) == Vector3::zeros() {
-                continue;
+}
+
+impl WithSimd for SumOverlap<'_> {
+    type Output = Overlap;
+
+    #[allow(
+        clippy::needless_range_loop,
+        reason = "one index runs through all the lanes, which is what becomes vector code"
+    )]
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Overlap {
+        let (map_points, map_normals) = (self.map.points.data(), self.map.normals.data());
+        let mut counts = [[0u32; LANES]; 3];
+        for points in self.points {
+            let (places, pixels) = self.moved.places(points, self.lens);
+            let mut surface_z = [f32::INFINITY; LANES];
+            for i in 0..LANES {
+                let pixel = pixels[i] as usize;
+                let found = map_points.get(pixel).zip(map_normals.get(pixel));
+                let seen = found.filter(|(_, normal)| **normal != Vector3::zeros());
+                surface_z[i] = seen.map_or(f32::NAN, |(point, _)| point.z);
             }
-            overlap.n_points += 1;
-            let place = moved.point(source.points.at(u, v));
-            let Some((surface, _)) = seen_at(target, lens, &place) else {
-                continue;
-            };
-            let in_front_m = surface.z - place.z;
-            overlap.n_looked_through += usize::from(in_front_m > margin_m);
-            overlap.n_shared += usize::from(in_front_m.abs() <= margin_m);
+            for i in 0..LANES {
+                let [x, y, z] = &points.normal;
+                let is_point = (x[i] != 0.0) | (y[i] != 0.0) | (z[i] != 0.0);
+                // Without a surface neither is true.
+                let in_front_m = surface_z[i] - places[2][i];
+                counts[0][i] += u32::from(is_point);
+                counts[1][i] += u32::from(is_point & (in_front_m.abs() <= self.margin_m));
+                counts[2][i] += u32::from(is_point & (in_front_m > self.margin_m));
+            }
+        }
+        let [n_points, n_shared, n_looked_through] =
+            counts.map(|lanes| lanes.iter().sum::<u32>() as usize);
+        Overlap {
+            n_points,
+            n_shared,
+            n_looked_through,
         }
     }
-    overlap
 }

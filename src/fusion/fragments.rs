@@ -5,6 +5,7 @@
 
 use super::band::Band;
 use super::eye::Eye;
+use super::fragment_alignment::AlignedPoints;
 use super::keyframes::Keyframe;
 use super::raycast::ModelMap;
 use super::{FusionParams, LoopClosingParams};
@@ -24,11 +25,34 @@ pub(super) struct Fragment {
     pub anchor: usize,
     /// Its surface as the anchor sees it, anchor frame.
     pub map: ModelMap,
+    /// Of these, the points by which it is aligned.
+    pub points: AlignedPoints,
 }
 
+/// Fragments of a scan at most, of 2 to 3 MB each; as long as tracking is broken less often.
+const MAX_FRAGMENTS: usize = 200;
+/// Where there would be more, each reaches so many times as far, and so on.
+const LONGER: f64 = 1.5;
+
 /// Cuts the frames where the camera has turned or moved far from where the stretch began, where tracking was broken, and
-/// after a number of frames.
+/// after a number of frames. In a long scan stretches are longer.
 pub(super) fn cut(frames: &[Keyframe], params: &LoopClosingParams) -> Vec<Range<usize>> {
+    let mut params = params.clone();
+    loop {
+        let cuts = cut_at(frames, &params);
+        let n_breaks = frames
+            .windows(2)
+            .filter(|pair| pair[0].stretch != pair[1].stretch);
+        if cuts.len() <= MAX_FRAGMENTS.max(n_breaks.count() + 1) {
+            return cuts;
+        }
+        params.fragment_rotation_rad *= LONGER;
+        params.fragment_translation_m *= LONGER;
+        params.fragment_frames = (params.fragment_frames as f64 * LONGER).ceil() as usize;
+    }
+}
+
+fn cut_at(frames: &[Keyframe], params: &LoopClosingParams) -> Vec<Range<usize>> {
     let mut cuts = Vec::new();
     let mut start = 0;
     for (index, frame) in frames.iter().enumerate() {
@@ -73,16 +97,55 @@ impl Fragment {
         Fragment {
             frames: stretch,
             anchor,
+            points: AlignedPoints::of(&map, &eye.noise),
             map,
         }
     }
 
     /// Its surface points, anchor frame, metres.
-    pub fn points(&self) -> impl Iterator<Item = &Vector3<f32>> {
+    pub fn surface_points(&self) -> impl Iterator<Item = &Vector3<f32>> {
         let points = self.map.points.data().iter();
         points
             .zip(self.map.normals.data())
             .filter(|(_, normal)| **normal != Vector3::zeros())
             .map(|(point, _)| point)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::DepthNoise;
+    use crate::fusion::keyframes::Keyframes;
+    use crate::geometry::camera::tests::distorted_camera;
+    use depth_camera::Sensor;
+
+    /// Frames of a camera that moves 20 mm from one to the next; tracking breaks every `unbroken` frames.
+    fn frames(n_frames: usize, unbroken: usize) -> Vec<Keyframe> {
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let eye = Eye::new(
+            &distorted_camera(),
+            noise,
+            FusionParams::default().depth_range(),
+        );
+        let mut keyframes = Keyframes::new(usize::MAX);
+        for k in 0..n_frames {
+            let pose = Pose::translation(0.02 * k as f64, 0.0, 0.0);
+            keyframes.offer(&eye, k as f64, &pose, k / unbroken);
+        }
+        keyframes.frames().to_vec()
+    }
+
+    #[test]
+    fn long_scans_have_longer_fragments_and_no_more_of_them() {
+        let params = LoopClosingParams::default();
+        let cut = |n_frames, unbroken| cut(&frames(n_frames, unbroken), &params);
+        // 0.1 m is exceeded by the sixth frame.
+        assert_eq!(cut(600, usize::MAX).len(), 100);
+        let many = cut(6000, usize::MAX);
+        assert!((100..=MAX_FRAGMENTS).contains(&many.len()));
+        let is_joined = many.windows(2).all(|pair| pair[0].end == pair[1].start);
+        assert!(is_joined && many[0].start == 0 && many[many.len() - 1].end == 6000);
+        assert_eq!(cut(1200, 4).len(), 300, "broken more often than that");
     }
 }

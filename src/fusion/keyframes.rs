@@ -6,6 +6,7 @@
 
 use super::eye::Eye;
 use super::packed_depth::PackedDepth;
+use super::pose_correction::PoseCorrection;
 use crate::geometry::Pose;
 use depth_camera::Image;
 
@@ -58,6 +59,19 @@ impl Keyframes {
     /// The frames.
     pub fn frames(&self) -> &[Keyframe] {
         &self.frames
+    }
+
+    /// The frames that were taken later than `secs` of the device's clock.
+    pub fn after(&self, secs: f64) -> &[Keyframe] {
+        let n_before = self.frames.partition_point(|frame| frame.time_secs <= secs);
+        &self.frames[n_before..]
+    }
+
+    /// Moves all frames.
+    pub fn correct(&mut self, correction: &PoseCorrection) {
+        for frame in &mut self.frames {
+            frame.world_from_camera = correction.apply(frame.time_secs, &frame.world_from_camera);
+        }
     }
 
     /// Takes the frame in hand in, unless it is one of those between.

@@ -29,6 +29,8 @@ use serde::{Deserialize, Serialize};
 pub struct LoopClosingParams {
     /// Memory for the packed depth of the frames, megabytes; 0 switches loop closing off.
     pub max_memory_mb: usize,
+    /// Whether loops are closed while the scan goes on, too, each time the camera has been elsewhere and comes back.
+    pub while_scanning: bool,
     /// A fragment ends where the camera has turned so far, radians.
     pub fragment_rotation_rad: f64,
     /// A fragment ends where the camera has moved so far, metres.
@@ -45,6 +47,7 @@ impl Default for LoopClosingParams {
     fn default() -> Self {
         LoopClosingParams {
             max_memory_mb: 512,
+            while_scanning: true,
             fragment_rotation_rad: 0.2,
             fragment_translation_m: 0.1,
             fragment_frames: 30,
@@ -98,7 +101,20 @@ pub struct LoopClosure {
     pub misfit_after_m: f64,
 }
 
-/// Loops that were closed, with all frames fused where they belong.
+/// Loops that were found, with all frames fused where they then belong; not judged yet.
+pub(super) struct FoundLoops {
+    correction: PoseCorrection,
+    /// With the pose of each one's anchor as tracked, and as corrected.
+    fragments: Vec<(Fragment, Pose, Pose)>,
+    n_loops: usize,
+    misfit_after_m: f64,
+    volume: TsdfVolume,
+    band: Band,
+    /// When the last frame in it was taken, seconds of the device's clock.
+    until_secs: f64,
+}
+
+/// Loops that were closed.
 pub(super) struct ClosedLoops {
     pub(super) closure: LoopClosure,
     pub(super) volume: TsdfVolume,
@@ -125,15 +141,14 @@ const MAX_MISFIT_GROWTH: f64 = 1.02;
 /// A pair that the others contradict by more than this is doubted.
 const KERNEL_SIGMAS: f64 = 5.0;
 
-/// Closes the loops of a scan whose frames were fused into `live` as tracked; `None` if it never came back to what it had
-/// seen, if its frames would not fit one another as well, or if it shall not go on.
+/// Looks for the loops of a scan, and fuses its frames anew; `None` if it never came back to what it had seen, or if it shall not
+/// go on.
 pub(super) fn find(
     frames: &[Keyframe],
     eye: &Eye,
     params: &FusionParams,
-    live: &TsdfVolume,
     goes_on: &GoesOn,
-) -> Option<ClosedLoops> {
+) -> Option<FoundLoops> {
     let stretches = cut(frames, &params.loop_closing);
     let step = Counted::new(Work::FuseFragments, stretches.len(), goes_on);
     let fragments: Vec<Fragment> = stretches
@@ -158,24 +173,62 @@ pub(super) fn find(
     if !fuse_again(anew, frames, &correction, eye, &|| step.goes_on()) {
         return None;
     }
-    let corrected: Vec<Pose> = fragments
-        .iter()
-        .zip(&tracked)
-        .map(|(fragment, pose)| correction.apply(frames[fragment.anchor].time_secs, pose))
+    let corrected =
+        |k: usize, pose: &Pose| correction.apply(frames[fragments[k].anchor].time_secs, pose);
+    let corrected: Vec<Pose> = (0..tracked.len())
+        .map(|k| corrected(k, &tracked[k]))
         .collect();
-    let closure = LoopClosure {
+    let misfit_after_m = misfit_m(fragments.iter().zip(&corrected), &volume);
+    let poses = tracked.into_iter().zip(corrected);
+    let fragments = fragments.into_iter().zip(poses);
+    Some(FoundLoops {
+        fragments: fragments.map(|(f, (a, b))| (f, a, b)).collect(),
         correction,
-        n_fragments: fragments.len(),
         n_loops,
-        misfit_before_m: misfit_m(&fragments, &tracked, live),
-        misfit_after_m: misfit_m(&fragments, &corrected, &volume),
-    };
-    let fits = closure.misfit_after_m < MAX_MISFIT_GROWTH * closure.misfit_before_m;
-    fits.then_some(ClosedLoops {
-        closure,
+        misfit_after_m,
         volume,
         band,
+        until_secs: frames.last()?.time_secs,
     })
+}
+
+impl FoundLoops {
+    /// The loops, if the frames fit one another as well as in the volume `live`, into which they were fused as tracked.
+    pub(super) fn judged(self, live: &TsdfVolume) -> Option<ClosedLoops> {
+        let as_tracked = self.fragments.iter().map(|(f, tracked, _)| (f, tracked));
+        let closure = LoopClosure {
+            n_fragments: self.fragments.len(),
+            n_loops: self.n_loops,
+            misfit_before_m: misfit_m(as_tracked, live),
+            misfit_after_m: self.misfit_after_m,
+            correction: self.correction,
+        };
+        let fits = closure.misfit_after_m < MAX_MISFIT_GROWTH * closure.misfit_before_m;
+        fits.then_some(ClosedLoops {
+            closure,
+            volume: self.volume,
+            band: self.band,
+        })
+    }
+
+    /// When the last frame that is in it was taken, seconds of the device's clock.
+    pub(super) fn until_secs(&self) -> f64 {
+        self.until_secs
+    }
+
+    /// Fuses frames that came since, moved as the last ones before them; false if it shall not go on.
+    pub(super) fn catch_up(
+        &mut self,
+        later: &[Keyframe],
+        eye: &Eye,
+        goes_on: &dyn Fn() -> bool,
+    ) -> bool {
+        let anew = (&mut self.volume, &mut self.band);
+        self.until_secs = later
+            .last()
+            .map_or(self.until_secs, |frame| frame.time_secs);
+        fuse_again(anew, later, &self.correction, eye, goes_on)
+    }
 }
 
 /// The poses (world from anchor) on which all pairs of fragments agree best, and how many of the pairs close a loop.
@@ -189,14 +242,14 @@ fn settle(
 ) -> (Vec<Pose>, usize) {
     let drift = drift_edges(frames, fragments, tracked);
     let mut nodes = tracked.to_vec();
-    let mut n_loops = 0;
+    let mut pairs = Vec::new();
     for _ in 0..ROUNDS {
-        let pairs = aligned_pairs(fragments, &nodes, eye, params, goes_on);
-        n_loops = pairs.iter().filter(|pair| pair.is_loop()).count();
+        pairs = aligned_pairs(fragments, &nodes, eye, params, goes_on);
         let mut edges = drift.clone();
         edges.extend(pairs.iter().map(Pair::edge));
         optimise(&mut nodes, &edges);
     }
+    let n_loops = pairs.iter().filter(|pair| pair.is_loop()).count();
     (nodes, n_loops)
 }
 
@@ -222,13 +275,16 @@ pub(super) fn fuse_again(
 }
 
 /// Mean distance of the fragments' points to the surface of a volume, where it knows one, metres.
-fn misfit_m(fragments: &[Fragment], world_from_anchors: &[Pose], volume: &TsdfVolume) -> f64 {
+fn misfit_m<'a>(
+    world_from_anchors: impl Iterator<Item = (&'a Fragment, &'a Pose)>,
+    volume: &TsdfVolume,
+) -> f64 {
+    let fragments: Vec<_> = world_from_anchors.collect();
     let sums: Vec<(f64, usize)> = fragments
-        .par_iter()
-        .zip(world_from_anchors)
+        .into_par_iter()
         .map(|(fragment, world_from_anchor)| {
             let (mut sum, mut n_points) = (0.0, 0);
-            for point in fragment.points() {
+            for point in fragment.surface_points() {
                 let point_world = world_from_anchor * Point3::from(point.cast::<f64>());
                 let sample = volume.sample_with_gradient(&point_world.coords.cast());
                 if let Some((distance, _)) = sample {

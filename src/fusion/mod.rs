@@ -41,6 +41,7 @@ mod sight;
 
 mod polish;
 mod relocalise;
+mod revisit;
 mod take_back;
 mod thin_parts;
 
@@ -50,6 +51,7 @@ mod fragments;
 mod frame_patches;
 mod keyframes;
 mod loop_closing;
+mod loops_aside;
 mod packed_depth;
 mod pose_correction;
 mod pose_graph;
@@ -73,6 +75,7 @@ pub use infrared::InfraredOptics;
 pub use keyframes::Keyframe;
 pub use live_mesh::LiveMesh;
 pub use loop_closing::{LoopClosingParams, LoopClosure};
+pub use loops_aside::{LoopSearch, LoopsAside};
 pub use noise::DepthNoise;
 pub use outcome::{Fit, LossReason, TrackingOutcome};
 pub use params::FusionParams;
@@ -93,6 +96,7 @@ use infrared::Infrared;
 use keyframes::Keyframes;
 use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
+use revisit::Revisits;
 use track::{MAX_PREDICTION_SECS, STEADY_SECS, Track};
 use volume::TsdfVolume;
 
@@ -126,6 +130,7 @@ pub struct Fusion {
     /// Number of the stretch of unbroken tracking.
     stretch: usize,
     places: Places,
+    revisits: Revisits,
     /// Where the frame before may have been taken, if it was lost.
     hypothesis: Option<(Hypothesis, Track)>,
     n_relocalised: usize,
@@ -152,6 +157,7 @@ impl Fusion {
             keyframes: Keyframes::new(params.loop_closing.max_memory_mb << 20),
             stretch: 0,
             places: Places::default(),
+            revisits: Revisits::default(),
             hypothesis: None,
             n_relocalised: 0,
             n_unpolished: 0,
@@ -227,9 +233,9 @@ impl Fusion {
             return None;
         }
         let frames = self.keyframes.frames();
-        let closed = loop_closing::find(frames, &self.eye, &self.params, &self.volume, goes_on)?;
-        (self.volume, self.band) = (closed.volume, closed.band);
-        self.volume_number += 1;
+        let found = loop_closing::find(frames, &self.eye, &self.params, goes_on)?;
+        let closed = found.judged(&self.volume)?;
+        self.replace_volume(closed.volume, closed.band);
         Some(closed.closure)
     }
 
@@ -432,6 +438,7 @@ impl Fusion {
         self.hypothesis = None;
         self.is_interrupted = false;
         self.places.visit(&self.eye, &self.track);
+        self.revisits.visit(&self.track);
         self.keep();
         let world_from_camera = self.track.world_from_camera;
         let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
@@ -440,6 +447,11 @@ impl Fusion {
         {
             infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
         }
+    }
+
+    fn replace_volume(&mut self, volume: TsdfVolume, band: Band) {
+        (self.volume, self.band) = (volume, band);
+        self.volume_number += 1;
     }
 
     fn keep(&mut self) {

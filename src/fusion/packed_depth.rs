@@ -3,6 +3,7 @@
 
 use crate::geometry::lanes::{LANES, floor};
 use depth_camera::Image;
+use std::sync::Arc;
 
 /// Depth is kept in steps of 0.1 mm, a tenth of the least depth noise (1.2 mm), or of what 16 bits allow.
 const FINEST_STEP_M: f32 = 1e-4;
@@ -20,7 +21,8 @@ pub struct PackedDepth {
     width: usize,
     height: usize,
     step_m: f32,
-    codes: Vec<u8>,
+    /// Shared between copies.
+    codes: Arc<[u8]>,
 }
 
 impl PackedDepth {
@@ -47,12 +49,11 @@ impl PackedDepth {
             }
         }
         close_gap(&mut codes, &mut gap);
-        codes.shrink_to_fit();
         PackedDepth {
             width,
             height: depth.len() / width,
             step_m,
-            codes,
+            codes: codes.into(),
         }
     }
 
@@ -78,7 +79,7 @@ impl PackedDepth {
 
     /// Bytes held.
     pub fn memory_bytes(&self) -> usize {
-        self.codes.capacity()
+        self.codes.len()
     }
 }
 

@@ -12,6 +12,7 @@
 
 use super::eye::Eye;
 use super::icp::{self, CastModel};
+use super::pose_correction::PoseCorrection;
 use super::pyramid::{FramePyramid, N_REDUCED};
 use super::raycast::{ModelMap, raycast_anywhere};
 use super::track::Track;
@@ -99,6 +100,14 @@ impl Places {
                 seen: thumbnail(&eye.frame),
             });
         }
+    }
+
+    /// Moves all places.
+    pub(super) fn correct(&mut self, correction: &PoseCorrection) {
+        for place in &mut self.places {
+            place.world_from_camera = correction.apply(place.time_secs, &place.world_from_camera);
+        }
+        self.forget_views();
     }
 
     /// Forgets the places that were found later than `after_secs`.

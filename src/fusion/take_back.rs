@@ -17,24 +17,31 @@ impl Fusion {
         }
         self.keyframes.truncate(n_left);
         self.places.forget_after(after_secs);
+        self.revisits.forget_after(after_secs);
         if let Some(infrared) = &mut self.infrared {
             infrared.forget_key();
         }
         // The old volume goes first: two of them might not find room.
-        (self.volume, self.band) = (self.params.empty_volume(), Default::default());
+        self.replace_volume(self.params.empty_volume(), Default::default());
         let (frames, nowhere) = (self.keyframes.frames(), PoseCorrection::default());
         let anew = (&mut self.volume, &mut self.band);
         loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| true);
-        self.volume_number += 1;
         self.stretch = self.n_fused;
         self.interrupt();
         self.look_from_last();
         true
     }
 
+    /// Looks at the model from a pose.
+    pub(super) fn look_from(&mut self, world_from_camera: &Pose) {
+        if let Some(map) = &mut self.model {
+            self.eye
+                .look(MODEL_LEVEL, &self.volume, world_from_camera, map);
+        }
+    }
+
     fn n_kept_until(&self, after_secs: f64) -> usize {
-        let frames = self.keyframes.frames();
-        frames.partition_point(|frame| frame.time_secs <= after_secs)
+        self.keyframes.frames().len() - self.keyframes.after(after_secs).len()
     }
 
     /// Stands where the last frame that is left was taken, and looks at the model from there.
@@ -47,9 +54,7 @@ impl Fusion {
         };
         let (pose, time_secs) = (last.world_from_camera, last.time_secs);
         self.eye.take(&last.depth_m());
-        if let Some(map) = &mut self.model {
-            self.eye.look(MODEL_LEVEL, &self.volume, &pose, map);
-        }
+        self.look_from(&pose);
         self.track = Track::at(pose, time_secs);
     }
 }

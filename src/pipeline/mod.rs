@@ -84,7 +84,7 @@ use deliver::Outbox;
 use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use device_stage::DeviceSetup;
 use edges::DropCounts;
-use fusion_stage::FusionSetup;
+use fusion_stage::{FusionSetup, LoopTiming};
 use handle::Threads;
 use live::surface::{self, SurfaceUpdate};
 use mcap_session::RecordingError;
@@ -351,6 +351,7 @@ fn fusion_setup(
         self_calibration: self_calibration(params, info),
         poses: params.poses.clone(),
         pool: pool("track", params.n_threads)?,
+        loops: loop_timing(params)?,
         status: watch.status.clone(),
         live: watch.live.clone(),
         surfaces,
@@ -358,6 +359,15 @@ fn fusion_setup(
         shading: None,
         stop: watch.stop.clone(),
     })
+}
+
+/// Frames of a recording wait while loops are closed, those of a live camera cannot.
+fn loop_timing(params: &PipelineParams) -> Result<LoopTiming, ThreadPoolBuildError> {
+    match params.when_full {
+        _ if !params.fusion.loop_closing.while_scanning => Ok(LoopTiming::AtEnd),
+        WhenFull::Block => Ok(LoopTiming::BetweenFrames),
+        WhenFull::Drop => LoopTiming::aside(params.n_threads),
+    }
 }
 
 /// What asks the images for the calibration by which depth is corrected; `None` where it does not depend on it.

@@ -43,8 +43,24 @@ pub fn pool(
     name: &'static str,
     n_threads: NonZeroUsize,
 ) -> Result<ThreadPool, ThreadPoolBuildError> {
+    builder(name, n_threads).build()
+}
+
+/// A pool of so many threads that yield to all others.
+pub fn idle_pool(
+    name: &'static str,
+    n_threads: NonZeroUsize,
+) -> Result<ThreadPool, ThreadPoolBuildError> {
+    let yields = move |_| {
+        if let Err(error) = idle_class::enter() {
+            tracing::debug!(%error, name, "not in the idle class");
+        }
+    };
+    builder(name, n_threads).start_handler(yields).build()
+}
+
+fn builder(name: &'static str, n_threads: NonZeroUsize) -> ThreadPoolBuilder {
     ThreadPoolBuilder::new()
         .num_threads(n_threads.get())
         .thread_name(move |index| format!("{name}-{index}"))
-        .build()
 }

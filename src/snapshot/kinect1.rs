@@ -14,7 +14,7 @@ use super::pool::Pool;
 use super::rejection::{RejectReason, Rejection, Rejections};
 use super::speckle::{Texture, texture};
 use super::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
-use crate::fusion::{ModelMap, TrackingOutcome};
+use crate::fusion::{ModelMap, PoseCorrection, TrackingOutcome};
 use crate::geometry::{Pose, mean_pose, motion_between};
 use depth_camera::{Frame, Image};
 
@@ -126,6 +126,14 @@ impl ShadingSequence {
         self.group = LampGroup::default();
         self.before = None;
         self.guide.lost();
+    }
+
+    pub(super) fn correct(&mut self, correction: &PoseCorrection) {
+        self.pool.correct(correction);
+        if let Some(before) = &mut self.before {
+            let moved = correction.apply(before.device_time_secs, &before.world_from_camera);
+            before.world_from_camera = moved;
+        }
     }
 
     pub(super) fn n_accepted(&self) -> usize {

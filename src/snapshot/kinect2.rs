@@ -5,7 +5,7 @@ use super::information::{Optics, ViewInformation, view_information};
 use super::pool::Pool;
 use super::rejection::{RejectReason, Rejection, Rejections};
 use super::{ShadingSnapshot, SnapshotParams, SnapshotSelection, TrackedFrame};
-use crate::fusion::TrackingOutcome;
+use crate::fusion::{PoseCorrection, TrackingOutcome};
 use crate::geometry::{Pose, motion_between};
 use depth_camera::{Frame, Image};
 use nalgebra::{Point3, Vector2};
@@ -75,6 +75,14 @@ impl EmitterStream {
     pub(super) fn forget_after(&mut self, after_secs: f64) {
         self.pool.forget_after(after_secs);
         self.last = None;
+    }
+
+    pub(super) fn correct(&mut self, correction: &PoseCorrection) {
+        self.pool.correct(correction);
+        if let Some(last) = &mut self.last {
+            let moved = correction.apply(last.device_time_secs, &last.world_from_camera);
+            last.world_from_camera = moved;
+        }
     }
 
     pub(super) fn n_accepted(&self) -> usize {

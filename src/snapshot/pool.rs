@@ -9,6 +9,7 @@ use super::coverage::Coverage;
 use super::information::{Information, PatchKey, ViewInformation};
 use super::rejection::{RejectReason, Rejection};
 use super::{ShadingSnapshot, SnapshotSelection};
+use crate::fusion::PoseCorrection;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Determinants multiplied before a logarithm is taken; they stay below 1e12 each, their product far from overflow.
@@ -133,6 +134,14 @@ impl Pool {
                 let loss = loss(&self.candidates[index], &self.total);
                 self.remove(index, loss);
             }
+        }
+    }
+
+    /// Moves all poses. What candidates tell stays with the patches where they were: those are larger than the drift of a scan.
+    pub(super) fn correct(&mut self, correction: &PoseCorrection) {
+        for Candidate { snapshot, .. } in &mut self.candidates {
+            let time_secs = snapshot.device_time_secs;
+            snapshot.world_from_camera = correction.apply(time_secs, &snapshot.world_from_camera);
         }
     }
 

@@ -7,7 +7,7 @@ use super::next_view::{Viewpoint, next_viewpoint};
 use super::pool::Pool;
 use super::rejection::{RejectReason, Rejections};
 use super::{Method, ShadingSnapshot, SnapshotSelection, SnapshotSelector};
-use crate::fusion::ModelMap;
+use crate::fusion::{ModelMap, PoseCorrection};
 use crate::geometry::Pose;
 use depth_camera::Image;
 
@@ -69,6 +69,14 @@ impl SnapshotSelector {
         match &mut self.method {
             Method::Sequence(sequence) => sequence.forget_after(after_secs),
             Method::Stream(stream) => stream.forget_after(after_secs),
+        }
+    }
+
+    /// Moves all poses that it was shown, as the model moved.
+    pub fn correct(&mut self, correction: &PoseCorrection) {
+        match &mut self.method {
+            Method::Sequence(sequence) => sequence.correct(correction),
+            Method::Stream(stream) => stream.correct(correction),
         }
     }
 

@@ -37,7 +37,7 @@ fn closed_while(
     let anew = (&mut live, &mut band);
     let frames = keyframes.frames();
     fuse_again(anew, frames, &nothing_moved, eye, &|| true);
-    find(frames, eye, params, &live, goes_on)
+    find(frames, eye, params, goes_on)?.judged(&live)
 }
 
 /// Fragments so short that a swing of few frames has several.

@@ -1,10 +1,10 @@
 //! The end of a scan: loops are closed, depth is corrected once more, and the base mesh is taken out of the volume. A scan that
 //! is told to stop, and not only to end, is not improved: that may take as long as the scan took.
 
-use super::{FusedScan, FusionStage, FusionSummary};
+use super::{FusedScan, FusionStage, FusionSummary, loops::tell_of};
 use crate::{
     capture::Tracked,
-    fusion::{GoesOn, LoopClosure, PoseCorrection},
+    fusion::{GoesOn, PoseCorrection},
     geometry::Pose,
     pipeline::{state::State, status::Phase, timing::StageClock},
     snapshot::{SnapshotSelection, SnapshotSelector},
@@ -18,12 +18,12 @@ const STOPPED: &str = "the run was told to stop: loops may be left open, and dep
 impl FusionStage {
     /// Closes loops and takes the mesh out of the volume, whose memory is free before refinement begins.
     pub(super) fn finish(mut self) -> FusionSummary {
-        let mut closing_clock = StageClock::new("loop closing");
         let mut thinning_clock = StageClock::new("thin parts");
         let mut meshing_clock = StageClock::new("mesh extraction");
         self.summary.n_relocalised = self.fusion.n_relocalised() as u64;
         self.summary.n_unpolished = self.fusion.n_unpolished() as u64;
         self.operator.interim.join();
+        self.loops.give_up();
         self.status.update(|status| {
             status.phase = Phase::Meshing;
             status.state = State::Draining;
@@ -37,7 +37,7 @@ impl FusionStage {
             };
             self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
-            let closure = closing_clock.time(|| {
+            let closure = self.closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
                 pool.install(|| fusion.close_loops(&goes_on))
             });
@@ -80,7 +80,7 @@ impl FusionStage {
             self.fusion_clock,
             self.selection_clock,
             self.revision_clock,
-            closing_clock,
+            self.closing_clock,
             thinning_clock,
             meshing_clock,
         ]
@@ -143,23 +143,18 @@ impl FusionStage {
 
     /// Moves all poses that were handed out.
     fn correct(&mut self, correction: &PoseCorrection, snapshots: Option<&mut SnapshotSelection>) {
-        for (time_secs, pose) in &mut self.trajectory {
-            *pose = correction.apply(*time_secs, pose);
-        }
+        self.move_path(correction);
         for snapshot in snapshots.into_iter().flat_map(|s| &mut s.accepted) {
             snapshot.world_from_camera =
                 correction.apply(snapshot.device_time_secs, &snapshot.world_from_camera);
         }
+    }
+
+    /// Moves the path of the camera.
+    pub(super) fn move_path(&mut self, correction: &PoseCorrection) {
+        for (time_secs, pose) in &mut self.trajectory {
+            *pose = correction.apply(*time_secs, pose);
+        }
         self.measure_path();
     }
-}
-
-fn tell_of(closure: &LoopClosure) {
-    tracing::info!(
-        n_fragments = closure.n_fragments,
-        n_loops = closure.n_loops,
-        misfit_before_m = closure.misfit_before_m,
-        misfit_after_m = closure.misfit_after_m,
-        "loops closed"
-    );
 }

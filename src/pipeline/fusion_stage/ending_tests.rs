@@ -42,6 +42,7 @@ fn setup(stop: &StopToken, status: &StatusSlot, surfaces: Sender<SurfaceUpdate>)
         self_calibration: None,
         poses: None,
         pool: pool("track", NonZeroUsize::MIN).unwrap(),
+        loops: LoopTiming::AtEnd,
         status: status.clone(),
         live: Live::default(),
         surfaces,

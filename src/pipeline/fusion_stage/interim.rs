@@ -1,5 +1,5 @@
 //! A scan as it is, written down on the way: base mesh, trajectory and shading images in a folder of their own, which is
-//! refined like the folder of a whole scan. Loops are not closed in it, for the scan goes on.
+//! refined like the folder of a whole scan. Loops are closed in it as far as that was done on the way.
 
 use crate::{
     capture::{Event, EventKind, Tracked},

@@ -2,6 +2,7 @@
 
 mod ending;
 mod interim;
+mod loops;
 mod operator;
 mod pulse;
 mod showing;
@@ -36,6 +37,8 @@ use crossbeam::{
     select,
 };
 use depth_camera::{CameraInfo, Frame, Image};
+pub use loops::LoopTiming;
+use loops::LoopsUnderWay;
 use operator::Operator;
 use pulse::Pulse;
 use rayon::ThreadPool;
@@ -63,6 +66,8 @@ pub struct FusionSetup {
     pub poses: Option<GivenPoses>,
     /// Where tracking computes.
     pub pool: ThreadPool,
+    /// When loops are closed before the scan ends.
+    pub loops: LoopTiming,
     /// Where the status goes.
     pub status: StatusSlot,
     /// Where those look who look on.
@@ -183,6 +188,7 @@ struct FusionStage {
     /// Whether given poses are polished.
     polish: bool,
     pool: ThreadPool,
+    loops: LoopsUnderWay,
     status: StatusSlot,
     stop: StopToken,
     tracked: TrackedSender,
@@ -198,6 +204,7 @@ struct FusionStage {
     revision_clock: StageClock,
     fusion_clock: StageClock,
     selection_clock: StageClock,
+    closing_clock: StageClock,
 }
 
 impl FusionStage {
@@ -233,6 +240,7 @@ impl FusionStage {
             self_calibration: setup.self_calibration,
             poses: setup.poses,
             pool: setup.pool,
+            loops: LoopsUnderWay::new(setup.loops),
             status: setup.status,
             stop: setup.stop,
             tracked,
@@ -246,6 +254,7 @@ impl FusionStage {
             revision_clock: StageClock::new("fusing again with corrected depth"),
             fusion_clock: StageClock::new("tracking and fusion"),
             selection_clock: StageClock::new("selection of shading images"),
+            closing_clock: StageClock::new("loop closing"),
         }
     }
 
@@ -292,6 +301,9 @@ impl FusionStage {
             self.consider(frame, outcome);
         }
         self.note_refusal();
+        if place == Place::Fused {
+            self.close_loops_on_the_way();
+        }
         place
     }
 
@@ -321,3 +333,5 @@ impl FusionStage {
 
 #[cfg(test)]
 mod ending_tests;
+#[cfg(test)]
+mod loops_tests;

@@ -157,6 +157,7 @@ impl FusionStage {
     /// Forgets all that is later than a time of the device's clock; returns how many frames that were, `None` if it cannot
     /// be done.
     fn forget_after(&mut self, after_secs: f64) -> Option<usize> {
+        self.loops.give_up();
         let (fusion, pool) = (&mut self.fusion, &self.pool);
         if !pool.install(|| fusion.take_back(after_secs)) {
             return None;

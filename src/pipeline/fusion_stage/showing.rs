@@ -70,6 +70,11 @@ impl Showing {
     /// Forgets what was shown: the model is another one.
     pub(super) fn begin_anew(&mut self) {
         self.snapshots.forget();
+        self.move_with_model();
+    }
+
+    /// Forgets what was shown of the surface: the model has moved.
+    pub(super) fn move_with_model(&mut self) {
         self.last_good = None;
         self.round.begin_anew();
     }
