@@ -39,7 +39,7 @@ const COARSEST_EDGE_M: f64 = 0.003;
 /// is asked for. No more than there are rounds before the last.
 ///
 /// # Errors
-/// Where nothing is left of the surface, and if memory does not suffice.
+/// Where nothing is left of the surface.
 pub fn levels(object: &TriMesh, params: &RefineParams) -> Result<Vec<Level>, RefineError> {
     let mut edge_length_m = params.edge_length_m;
     let mut n_finer = 0;
@@ -51,15 +51,11 @@ pub fn levels(object: &TriMesh, params: &RefineParams) -> Result<Vec<Level>, Ref
     if mesh.faces.is_empty() {
         return Err(RefineError::NoSurface);
     }
-    let mut levels = vec![Level::new(mesh, edge_length_m, Vec::new(), params)?];
+    let mut levels = vec![Level::new(mesh, edge_length_m, Vec::new(), params)];
     let surface = TriangleBvh::new(object);
-    for _ in 0..n_finer {
-        levels.extend(
-            levels
-                .last()
-                .map(|level| level.finer(&surface, params))
-                .transpose()?,
-        );
+    for coarser in 0..n_finer {
+        let level = levels[coarser].finer(&surface, params);
+        levels.push(level);
     }
     Ok(levels)
 }
@@ -70,24 +66,24 @@ impl Level {
         edge_length_m: f64,
         parents: Vec<[u32; 2]>,
         params: &RefineParams,
-    ) -> Result<Level, RefineError> {
+    ) -> Level {
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
         let couplings = Couplings::new(&mesh, &edges, &patches);
         let neighbours = face_neighbours(&couplings.of_faces, couplings.pairs.len());
-        let pattern = Pattern::new(mesh.vertices.len(), couplings);
-        Ok(Level {
-            pattern: pattern.ok_or(RefineError::OutOfMemory)?,
+        let pattern = Pattern::new(&mesh.vertices, couplings);
+        Level {
+            pattern,
             mesh,
             edge_length_m,
             edges,
             patches,
             neighbours,
             parents,
-        })
+        }
     }
 
-    fn finer(&self, surface: &TriangleBvh, params: &RefineParams) -> Result<Level, RefineError> {
+    fn finer(&self, surface: &TriangleBvh, params: &RefineParams) -> Level {
         let couplings = self.pattern.couplings();
         let (sides, n_edges) = (&couplings.of_faces, couplings.pairs.len());
         let Subdivided { mesh, parents } = subdivide(&self.mesh, sides, n_edges, surface);

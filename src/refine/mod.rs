@@ -16,6 +16,7 @@ mod clusters;
 mod corner_tests;
 mod couplings;
 mod crop;
+mod dissection;
 mod energy;
 mod error;
 mod evidence;
@@ -40,7 +41,6 @@ mod rendering;
 mod rounds;
 #[cfg(test)]
 mod scenes;
-mod selected_inverse;
 mod self_calibration;
 mod single_view;
 mod sites;

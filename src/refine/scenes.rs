@@ -274,7 +274,7 @@ pub fn solved_from_plane(
         edges: &edges,
         jacobian,
     };
-    let pattern = Pattern::new(surface.mesh.vertices.len(), couplings).expect("memory");
+    let pattern = Pattern::new(&surface.mesh.vertices, couplings);
     let mut albedos = vec![albedo];
     minimise(
         &mut surface,

@@ -4,8 +4,7 @@ use super::cholesky::Analysis;
 use super::couplings::Couplings;
 use super::energy::{NormalMatrix, Problem, Surface};
 use crate::geometry::area_vector;
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Point3};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -50,41 +49,16 @@ pub struct Iteration {
 /// The sparsity pattern of a mesh's normal matrix, analysed once.
 pub struct Pattern {
     couplings: Couplings,
-    column_starts: Vec<usize>,
-    row_indices: Vec<usize>,
     analysis: Analysis,
 }
 
 impl Pattern {
-    /// Analyses the pattern; `None` where memory does not suffice.
-    pub fn new(n_vertices: usize, couplings: Couplings) -> Option<Pattern> {
-        let mut column_starts = Vec::with_capacity(n_vertices + 1);
-        let mut row_indices = Vec::with_capacity(n_vertices + couplings.pairs.len());
-        let mut pairs = couplings.pairs.iter().peekable();
-        for vertex in 0..n_vertices {
-            column_starts.push(row_indices.len());
-            row_indices.push(vertex);
-            while let Some(pair) = pairs.next_if(|pair| pair[0] as usize == vertex) {
-                row_indices.push(pair[1] as usize);
-            }
-        }
-        column_starts.push(row_indices.len());
-        let analysis = {
-            let pattern = SymbolicSparseColMatRef::new_checked(
-                n_vertices,
-                n_vertices,
-                &column_starts,
-                None,
-                &row_indices,
-            );
-            Analysis::new(pattern)?
-        };
-        Some(Pattern {
+    /// Analyses the pattern of vertices at these places, metres.
+    pub fn new(vertices: &[Point3<f64>], couplings: Couplings) -> Pattern {
+        Pattern {
+            analysis: Analysis::new(vertices, &couplings.pairs),
             couplings,
-            column_starts,
-            row_indices,
-            analysis,
-        })
+        }
     }
 
     /// Which displacements meet.
@@ -94,23 +68,27 @@ impl Pattern {
 
     /// The diagonal of H⁻¹; `None` where H is not positive definite or memory does not suffice.
     pub fn inverse_diagonal(&self, matrix: &NormalMatrix) -> Option<Vec<f64>> {
-        let values = self.values(matrix, 0.0);
-        let lower = SparseColMatRef::new(self.shape(), &values);
-        Some(self.analysis.factorise(lower)?.inverse_diagonal())
+        let NormalMatrix {
+            diagonal,
+            off_diagonal,
+            ..
+        } = matrix;
+        let factor = self.analysis.factorise(diagonal, off_diagonal)?;
+        Some(factor.inverse_diagonal())
     }
 
     /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
     /// taken out by their Schur complement. `None` where H is not positive definite.
     pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
-        let values = self.values(matrix, damping);
-        let lower = SparseColMatRef::new(self.shape(), &values);
-        let factor = self.analysis.factorise(lower)?;
+        let damped = matrix.diagonal.iter().map(|value| value * (1.0 + damping));
+        let damped: Vec<f64> = damped.collect();
+        let factor = self.analysis.factorise(&damped, &matrix.off_diagonal)?;
         let (n, groups) = (matrix.gradient.len(), &matrix.groups);
         let mut columns: Vec<f64> = matrix.gradient.iter().map(|slope| -slope).collect();
         for group in groups {
             columns.extend_from_slice(&group.coupling);
         }
-        let mut columns = factor.solve(columns)?;
+        let mut columns = factor.solve(columns);
         let by_group = columns.split_off(n);
         let (by_group, alone): (Vec<&[f64]>, _) = (by_group.chunks(n).collect(), columns);
         let complement = DMatrix::from_fn(groups.len(), groups.len(), |k, l| {
@@ -137,24 +115,6 @@ impl Pattern {
         };
         let mut all = step.displacement.iter().chain(&step.log_albedo);
         all.all(|value| value.is_finite()).then_some(step)
-    }
-
-    /// The lower half of `H + damping · diag H`, column by column.
-    fn values(&self, matrix: &NormalMatrix, damping: f64) -> Vec<f64> {
-        let mut values = Vec::with_capacity(self.row_indices.len());
-        let mut edge = 0;
-        for (vertex, diagonal) in matrix.diagonal.iter().enumerate() {
-            values.push(diagonal * (1.0 + damping));
-            let n_edges = self.column_starts[vertex + 1] - self.column_starts[vertex] - 1;
-            values.extend_from_slice(&matrix.off_diagonal[edge..edge + n_edges]);
-            edge += n_edges;
-        }
-        values
-    }
-
-    fn shape(&self) -> SymbolicSparseColMatRef<'_, usize> {
-        let n = self.column_starts.len() - 1;
-        SymbolicSparseColMatRef::new_checked(n, n, &self.column_starts, None, &self.row_indices)
     }
 }
 
