@@ -1,8 +1,8 @@
 //! An order of elimination that fills little in: nested dissection (George 1973) by the places of the unknowns.
 //!
-//! Unknowns on a surface are cut in half across their longest extent, and those on the cut that meet the other half, the
-//! *separator*, are eliminated after both halves, which do not know of one another. Each half is cut again, down to leaves that are
-//! eliminated whole. The cuts make a tree: what lies in different branches can be eliminated at the same time, and in the same order
+//! Unknowns on a surface are cut in two across their longest extent, or from neighbour to neighbour where that cuts fewer, and those
+//! that meet the other half, the *separator*, are eliminated after both halves, which do not know of one another. Each half is cut
+//! again, down to leaves that are eliminated whole. The cuts make a tree: what lies in different branches can be eliminated at the same time, and in the same order
 //! on any number of threads.
 
 use nalgebra::Point3;
@@ -70,11 +70,11 @@ pub struct Dissection {
 impl Dissection {
     /// Dissects a graph whose unknowns have places, metres.
     pub fn new(graph: &Graph, places: &[Point3<f64>]) -> Dissection {
-        let halves: Vec<AtomicU64> = places.iter().map(|_| AtomicU64::new(0)).collect();
+        let labels: Vec<AtomicU64> = places.iter().map(|_| AtomicU64::new(0)).collect();
         let cutter = Cutter {
             graph,
             places,
-            halves: &halves,
+            labels: &labels,
         };
         let all = (0..places.len() as u32).collect();
         let mut dissection = cutter.dissect(all, 1);
@@ -111,40 +111,43 @@ impl Dissection {
     }
 }
 
-/// Parts of more unknowns than this are cut across either of their two longer extents, where the separator is smaller.
-const TRIED: usize = 300;
+/// Parts of more unknowns than this are cut in several ways, of which that of the smallest separator counts.
+const TRIED: usize = 2000;
+/// Share of a part that its smaller half has at least, before the separator is taken out of it.
+const LEAST_HALF: f64 = 0.4;
 
 struct Cutter<'a> {
     graph: &'a Graph,
     places: &'a [Point3<f64>],
-    /// The number of the part to which each unknown belongs; parts that are cut at the same time share none.
-    halves: &'a [AtomicU64],
+    /// Of each unknown the number of its part, and its place in the order by which that is cut; parts that are cut at the same time
+    /// share none.
+    labels: &'a [AtomicU64],
 }
 
 impl Cutter<'_> {
-    fn dissect(&self, mut part: Vec<u32>, number: u64) -> Dissection {
+    fn dissect(&self, part: Vec<u32>, number: u64) -> Dissection {
         if part.len() <= LEAF {
             return Dissection::leaf(part);
         }
         let axes = self.axes(&part);
-        let n_tried = if part.len() > TRIED { 2 } else { 1 };
-        let mut best = self.cut(&mut part, axes[0], number);
-        for &axis in &axes[1..n_tried] {
-            let other = self.cut(&mut part, axis, number);
-            if other.separator.len() < best.separator.len() {
-                best = other;
+        let along = |axis| self.cut(self.sorted(&part, axis), number);
+        let mut best = along(axes[0]);
+        if part.len() > TRIED {
+            for other in [along(axes[1]), self.cut(self.spread(&part, number), number)] {
+                if other.separator.len() < best.separator.len() {
+                    best = other;
+                }
             }
         }
         let Cut { separator, halves } = best;
         if halves.iter().any(Vec::is_empty) {
             return Dissection::leaf(part);
         }
-        let numbers = [2 * number, 2 * number + 1];
         let [near, far] = halves;
         let is_large = near.len().min(far.len()) > PARALLEL;
         let below = (
-            || self.dissect(near, numbers[0]),
-            || self.dissect(far, numbers[1]),
+            || self.dissect(near, 2 * number),
+            || self.dissect(far, 2 * number + 1),
         );
         let (near, far) = match is_large {
             true => rayon::join(below.0, below.1),
@@ -153,36 +156,117 @@ impl Cutter<'_> {
         near.joined(far, separator)
     }
 
-    /// Cuts a part in the middle across an axis.
-    fn cut(&self, part: &mut [u32], axis: usize, number: u64) -> Cut {
-        let place = |unknown: &u32| self.places[*unknown as usize][axis];
-        let middle = part.len() / 2;
-        part.select_nth_unstable_by(middle, |a, b| place(a).total_cmp(&place(b)).then(a.cmp(b)));
-        let (near, far) = part.split_at(middle);
-        let numbers = [2 * number, 2 * number + 1];
-        for (half, number) in [near, far].into_iter().zip(numbers) {
-            for &unknown in half {
-                self.halves[unknown as usize].store(number, Ordering::Relaxed);
+    /// A part in the order along an axis.
+    fn sorted(&self, part: &[u32], axis: usize) -> Vec<u32> {
+        let keys = part
+            .iter()
+            .map(|&unknown| (self.places[unknown as usize][axis], unknown));
+        let mut keys: Vec<(f64, u32)> = keys.collect();
+        keys.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        keys.into_iter().map(|(_, unknown)| unknown).collect()
+    }
+
+    /// A part in the order in which neighbours of neighbours are met from one of its ends.
+    fn spread(&self, part: &[u32], number: u64) -> Vec<u32> {
+        let met = self.met_from(part, number);
+        let from_end: Vec<u32> = met.into_iter().rev().collect();
+        self.met_from(&from_end, number)
+    }
+
+    /// A part in the order in which neighbours of neighbours are met from its first unknown, then from the first that was not met.
+    fn met_from(&self, part: &[u32], number: u64) -> Vec<u32> {
+        self.label(part, number);
+        let mut is_met = vec![false; part.len()];
+        let mut met: Vec<u32> = Vec::with_capacity(part.len());
+        let mut n_seen = 0;
+        for (place, &start) in part.iter().enumerate() {
+            if std::mem::replace(&mut is_met[place], true) {
+                continue;
+            }
+            met.push(start);
+            while let Some(&unknown) = met.get(n_seen) {
+                n_seen += 1;
+                for &other in self.graph.neighbours(unknown) {
+                    if let Some(place) = self.place_in(other, number)
+                        && !std::mem::replace(&mut is_met[place], true)
+                    {
+                        met.push(other);
+                    }
+                }
             }
         }
-        let meets = |unknown: u32, number: u64| {
-            let mut neighbours = self.graph.neighbours(unknown).iter();
-            neighbours.any(|&other| self.halves[other as usize].load(Ordering::Relaxed) == number)
+        met
+    }
+
+    fn label(&self, part: &[u32], number: u64) {
+        for (place, &unknown) in (0..).zip(part) {
+            self.labels[unknown as usize].store(number << 32 | place, Ordering::Relaxed);
+        }
+    }
+
+    /// The place of an unknown in a part, if it is in it.
+    fn place_in(&self, unknown: u32, number: u64) -> Option<usize> {
+        let label = self.labels[unknown as usize].load(Ordering::Relaxed);
+        (label >> 32 == number).then_some((label & u64::from(u32::MAX)) as usize)
+    }
+
+    /// Cuts a part that is in some order near its middle, where fewest unknowns meet others beyond.
+    fn cut(&self, part: Vec<u32>, number: u64) -> Cut {
+        self.label(&part, number);
+        let n = part.len();
+        // The least and the last place that each unknown, itself among them, meets.
+        let reach = part.iter().enumerate().map(|(place, &unknown)| {
+            let others = self.graph.neighbours(unknown).iter();
+            let others = others.filter_map(|&other| self.place_in(other, number));
+            others.fold([place; 2], |[low, high], other| {
+                [low.min(other), high.max(other)]
+            })
+        });
+        let reach: Vec<[usize; 2]> = reach.collect();
+        // How many before each place meet some from there on, and the other way round.
+        let mut before = vec![0i32; n + 2];
+        let mut behind = vec![0i32; n + 2];
+        for (place, &[low, high]) in reach.iter().enumerate() {
+            before[place + 1] += 1;
+            before[high + 1] -= 1;
+            behind[low + 1] += 1;
+            behind[place + 1] -= 1;
+        }
+        let (mut n_before, mut n_behind) = (0, 0);
+        let first = ((LEAST_HALF * n as f64) as usize).max(1);
+        let mut best = (i32::MAX, n / 2, true);
+        for at in 0..=n - first {
+            n_before += before[at];
+            n_behind += behind[at];
+            if at < first {
+                continue;
+            }
+            for (n_met, is_before) in [(n_before, true), (n_behind, false)] {
+                if n_met < best.0 {
+                    best = (n_met, at, is_before);
+                }
+            }
+        }
+        let (_, at, is_before) = best;
+        let (near, far) = part.split_at(at);
+        let parted = |half: &[u32], from: usize, meets: &dyn Fn([usize; 2]) -> bool| {
+            let mut parts = [Vec::new(), Vec::new()];
+            for (&unknown, &reach) in half.iter().zip(&reach[from..]) {
+                parts[usize::from(meets(reach))].push(unknown);
+            }
+            parts
         };
-        let parted = |half: &[u32], other: u64| -> (Vec<u32>, Vec<u32>) {
-            half.iter().partition(|&&unknown| meets(unknown, other))
-        };
-        let (on_near, near_alone) = parted(near, numbers[1]);
-        let (on_far, far_alone) = parted(far, numbers[0]);
-        match on_near.len() <= on_far.len() {
-            true => Cut {
-                separator: on_near,
-                halves: [near_alone, far.to_vec()],
-            },
-            false => Cut {
-                separator: on_far,
-                halves: [near.to_vec(), far_alone],
-            },
+        match is_before {
+            true => {
+                let [alone, separator] = parted(near, 0, &|[_, high]| high >= at);
+                let halves = [alone, far.to_vec()];
+                Cut { separator, halves }
+            }
+            false => {
+                let [alone, separator] = parted(far, at, &|[low, _]| low < at);
+                let halves = [near.to_vec(), alone];
+                Cut { separator, halves }
+            }
         }
     }
 
@@ -261,8 +345,8 @@ pub(super) mod tests {
             assert_eq!(near.pivots.end, far.first);
             assert_eq!(far.pivots.end, node.pivots.start);
             let in_far = far.first..far.pivots.end;
-            for place in near.first..near.pivots.end {
-                let meets = graph.neighbours(order[place]).iter();
+            for &unknown in &order[near.first..near.pivots.end] {
+                let meets = graph.neighbours(unknown).iter();
                 assert!(
                     meets
                         .into_iter()
