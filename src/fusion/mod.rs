@@ -39,6 +39,7 @@ mod volume;
 mod raycast;
 mod sight;
 
+mod beginning;
 mod polish;
 mod relocalise;
 mod revisit;

@@ -35,6 +35,7 @@ impl FusionStage {
                 told.update(|status| status.improvement = Some(improvement));
                 !stop.is_stopped()
             };
+            self.settle_beginning(snapshots.as_mut());
             self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
             let closure = self.closing_clock.time(|| {
@@ -88,6 +89,17 @@ impl FusionStage {
         .filter_map(StageClock::timing)
         .collect();
         self.summary
+    }
+
+    /// Puts the first frames where the finished model has them.
+    fn settle_beginning(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        let (fusion, pool) = (&mut self.fusion, &self.pool);
+        if let Some(correction) = pool.install(|| fusion.settle_beginning()) {
+            tracing::info!(
+                "the scan began in motion: its first frames are moved to where the model has them"
+            );
+            self.correct(&correction, snapshots);
+        }
     }
 
     /// Lets the shading images settle on the finished model.

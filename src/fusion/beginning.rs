@@ -1,0 +1,144 @@
+//! The first frames of a scan that begins in motion: they are aligned to a model of one or two frames from a guess of no motion, and
+//! may slide by centimetres along what is nearly flat. At the end the model is whole and the motion known, backwards from later frames.
+
+use super::track::Track;
+use super::{Fit, Fusion, Keyframe, MODEL_LEVEL, PoseCorrection, align, gates, icp, raycast};
+use crate::geometry::{Motion, Pose, motion_between};
+use std::cmp::Ordering;
+
+/// So many frames are looked at.
+const N_FRAMES: usize = 6;
+/// A frame that would move by less stays: settling and refinement reach as far.
+const WORTH: Motion = Motion {
+    rotation_rad: 0.003,
+    translation_m: 0.003,
+};
+
+impl Fusion {
+    /// Looks for the first frames on the finished model, where the motion of those after them would have them; the poses handed
+    /// out are then to be moved by the correction. `None` if they lie where they were tracked, or poses were given.
+    pub fn settle_beginning(&mut self) -> Option<PoseCorrection> {
+        let frames = self.keyframes.frames().get(..N_FRAMES + 2)?;
+        let is_unbroken = frames
+            .iter()
+            .all(|frame| frame.stretch == frames[0].stretch);
+        if self.is_given || !is_unbroken {
+            return None;
+        }
+        let frames = frames.to_vec();
+        let mut poses: Vec<Pose> = frames.iter().map(|f| f.world_from_camera).collect();
+        let mut has_moved = false;
+        for k in (0..N_FRAMES).rev() {
+            // Time runs backwards.
+            let at = |k: usize| Track::at(poses[k], -frames[k].time_secs);
+            let later = at(k + 2).moved_to(poses[k + 1], at(k + 1).time_secs, true);
+            let guess = later.predict(-frames[k].time_secs);
+            if let Some(pose) = self.found_again(&frames[k], &guess) {
+                (poses[k], has_moved) = (pose, true);
+            }
+        }
+        let knots = frames.iter().zip(&poses).map(|(frame, pose)| {
+            let tracked = &frame.world_from_camera;
+            let correction = match pose == tracked {
+                true => Pose::identity(),
+                false => pose * tracked.inverse(),
+            };
+            (frame.time_secs, correction)
+        });
+        let correction = PoseCorrection::of_knots(knots.collect());
+        has_moved.then(|| {
+            self.keyframes.correct(&correction);
+            correction
+        })
+    }
+
+    /// Where a frame lies better than where it was tracked, if that is worth while.
+    fn found_again(&mut self, frame: &Keyframe, guess: &Pose) -> Option<Pose> {
+        if !self.eye.take(&frame.depth_m()) {
+            return None;
+        }
+        let tracked = &frame.world_from_camera;
+        let candidates = [tracked, guess].map(|from| self.aligned_from(from));
+        let (pose, fit) = candidates.into_iter().flatten().min_by(better)?;
+        let (eye, params) = (&self.eye, &self.params);
+        gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
+        let motion = motion_between(tracked, &pose);
+        let is_near =
+            motion.rotation_rad < WORTH.rotation_rad && motion.translation_m < WORTH.translation_m;
+        (!is_near).then_some(pose)
+    }
+
+    /// The frame in hand, aligned to the model as seen from a pose.
+    fn aligned_from(&self, from: &Pose) -> Option<(Pose, Fit)> {
+        let (eye, volume) = (&self.eye, &self.volume);
+        let level = eye.level(MODEL_LEVEL);
+        let map = raycast::raycast_anywhere(volume, level, from, eye.range);
+        let model = icp::CastModel {
+            map: &map,
+            lens: &level.lens,
+            world_from_camera: from,
+        };
+        align(eye, &model, volume, from, &self.params, None, &mut |_| {})
+    }
+}
+
+/// The one that lies closer, and with more of its points.
+fn better(a: &(Pose, Fit), b: &(Pose, Fit)) -> Ordering {
+    let misfit = |fit: &Fit| fit.rmse_m / fit.inlier_share.max(1e-6);
+    misfit(&a.1).total_cmp(&misfit(&b.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::tests::{frames, small_params};
+    use crate::fusion::{DepthNoise, TrackingOutcome};
+    use depth_camera::Sensor;
+
+    fn scanned(n_frames: usize) -> (Fusion, Vec<Pose>) {
+        let (frames, truth, camera) = frames(n_frames);
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let mut fusion = Fusion::new(camera, noise, small_params());
+        for frame in &frames {
+            let depth = frame.depth.as_ref().expect("Kinect II");
+            let outcome = fusion.fuse(depth, frame.device_time_secs);
+            assert!(matches!(outcome, TrackingOutcome::Tracked { .. }));
+        }
+        (fusion, truth)
+    }
+
+    /// How far every frame is off, metres.
+    fn off_m(fusion: &Fusion, truth: &[Pose]) -> Vec<f64> {
+        let pairs = fusion.keyframes().iter().zip(truth);
+        let off = pairs.map(|(frame, truth)| motion_between(truth, &frame.world_from_camera));
+        off.map(|motion| motion.translation_m).collect()
+    }
+
+    #[test]
+    fn a_first_frame_that_slid_is_put_back_and_none_gets_worse() {
+        let (mut fusion, truth) = scanned(16);
+        let tracked_m = off_m(&fusion, &truth);
+        let times: Vec<f64> = fusion.keyframes().iter().map(|f| f.time_secs).collect();
+        let slide = Pose::translation(0.015, 0.004, 0.0);
+        fusion.keyframes.correct(&PoseCorrection::of_knots(vec![
+            (times[0], slide),
+            (times[1], Pose::identity()),
+        ]));
+        let before = fusion.keyframes().to_vec();
+        let correction = fusion.settle_beginning().expect("it slid");
+        // A voxel has 4 mm.
+        for (k, (now_m, tracked_m)) in off_m(&fusion, &truth).iter().zip(&tracked_m).enumerate() {
+            assert!(*now_m < tracked_m + 0.002, "{k}: {tracked_m} -> {now_m}");
+        }
+        for (before, after) in before.iter().zip(fusion.keyframes()) {
+            let moved = correction.apply(before.time_secs, &before.world_from_camera);
+            assert_eq!(moved, after.world_from_camera);
+        }
+        assert_eq!(correction.at(times[N_FRAMES]), Pose::identity());
+    }
+
+    #[test]
+    fn few_frames_tell_nothing() {
+        assert!(scanned(5).0.settle_beginning().is_none());
+    }
+}
