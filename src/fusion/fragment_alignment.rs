@@ -54,9 +54,8 @@ impl Overlap {
     }
 }
 
-/// Largest distance of a pair of points, metres: what a full turn drifts, then what noise and slant leave; and whether few points
-/// do.
-const STAGES: [(f32, bool); 3] = [(0.04, true), (0.02, true), (0.01, false)];
+/// Largest distance of a pair of points, metres: what a full turn drifts, then what noise and slant leave.
+const MAX_DISTANCE_M: [f32; 3] = [0.04, 0.02, 0.01];
 /// Iterations at each of them, at most.
 const ITERATIONS: usize = 8;
 /// Largest angle between the normals of a pair: 40°.
@@ -72,8 +71,7 @@ pub(super) fn align(
 ) -> Option<Alignment> {
     let mut target_from_source = *guess;
     let mut last = None;
-    for (max_distance_m, do_few) in STAGES {
-        let points = source.points.lanes(do_few);
+    for max_distance_m in MAX_DISTANCE_M {
         for _ in 0..ITERATIONS {
             let target = Target {
                 map: &target.map,
@@ -81,7 +79,7 @@ pub(super) fn align(
                 moved: Moved::new(&target_from_source),
                 max_distance_squared: max_distance_m * max_distance_m,
             };
-            let equations = point_to_plane(eye.arch, points, &target);
+            let equations = point_to_plane(eye.arch, &source.points.lanes, &target);
             let step = equations.solve(&Vector3::zeros())?;
             target_from_source = step * target_from_source;
             last = Some(equations);
@@ -283,11 +281,9 @@ impl AlignedPoints {
         AlignedPoints { lanes, n_few }
     }
 
-    fn lanes(&self, do_few: bool) -> &[PointLanes] {
-        match do_few {
-            true => &self.lanes[..self.n_few],
-            false => &self.lanes,
-        }
+    /// Those of one row in four and one column.
+    fn few(&self) -> &[PointLanes] {
+        &self.lanes[..self.n_few]
     }
 }
 
@@ -311,7 +307,7 @@ pub(super) fn mutual_overlap(
 ) -> Overlap {
     let seen_by = |points: &AlignedPoints, map, moved| {
         let lens = lens(eye);
-        let (few, moved) = (points.lanes(true), Moved::new(moved));
+        let (few, moved) = (points.few(), Moved::new(moved));
         eye.arch.dispatch(SumOverlap {
             points: few,
             map,
