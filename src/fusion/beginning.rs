@@ -1,8 +1,9 @@
 //! The first frames of a scan that begins in motion: they are aligned to a model of one or two frames from a guess of no motion, and
 //! may slide by centimetres along what is nearly flat. At the end the model is whole and the motion known, backwards from later frames.
 
+use super::relocalise::align_closely;
 use super::track::Track;
-use super::{Fit, Fusion, Keyframe, MODEL_LEVEL, PoseCorrection, align, gates, icp, raycast};
+use super::{Fit, Fusion, Keyframe, PoseCorrection, gates};
 use crate::geometry::{Motion, Pose, motion_between};
 use std::cmp::Ordering;
 
@@ -57,28 +58,13 @@ impl Fusion {
         if !self.eye.take(&frame.depth_m()) {
             return None;
         }
+        let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
         let tracked = &frame.world_from_camera;
-        let candidates = [tracked, guess].map(|from| self.aligned_from(from));
+        let candidates = [tracked, guess].map(|from| align_closely(from, eye, volume, params));
         let (pose, fit) = candidates.into_iter().flatten().min_by(better)?;
-        let (eye, params) = (&self.eye, &self.params);
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
-        let motion = motion_between(tracked, &pose);
-        let is_near =
-            motion.rotation_rad < WORTH.rotation_rad && motion.translation_m < WORTH.translation_m;
+        let is_near = motion_between(tracked, &pose).is_within(&WORTH);
         (!is_near).then_some(pose)
-    }
-
-    /// The frame in hand, aligned to the model as seen from a pose.
-    fn aligned_from(&self, from: &Pose) -> Option<(Pose, Fit)> {
-        let (eye, volume) = (&self.eye, &self.volume);
-        let level = eye.level(MODEL_LEVEL);
-        let map = raycast::raycast_anywhere(volume, level, from, eye.range);
-        let model = icp::CastModel {
-            map: &map,
-            lens: &level.lens,
-            world_from_camera: from,
-        };
-        align(eye, &model, volume, from, &self.params, None, &mut |_| {})
     }
 }
 

@@ -87,7 +87,7 @@ pub use rolling_shutter::{RollingShutter, velocities};
 pub use steps::{FusionStep, OnStep};
 pub use surface_patch::{LatticeEdge, SurfacePatch};
 
-use crate::geometry::{CameraModel, Pose, RayGrid, TriMesh, motion_between};
+use crate::geometry::{CameraModel, Motion, Pose, RayGrid, TriMesh, motion_between};
 use align::align;
 use band::Band;
 use degeneracy::HARDLY_HELD_SHARE;
@@ -107,8 +107,10 @@ const MODEL_LEVEL: usize = 1;
 /// Settling on the finished model: iterations as of [`IcpParams::sdf_iterations`], and how far a view may go. Closing a turn
 /// of 2 m moved views by up to 10 mm against one another, of which interpolation leaves a part.
 const SETTLING_ITERATIONS: [usize; 2] = [4, 8];
-const MAX_SETTLING_RAD: f64 = 0.02;
-const MAX_SETTLING_M: f64 = 0.01;
+const MAX_SETTLING: Motion = Motion {
+    rotation_rad: 0.02,
+    translation_m: 0.01,
+};
 
 /// After an interruption longer absence does not entitle to a longer jump, seconds.
 const MAX_INTERRUPTED_SECS: f64 = 0.1;
@@ -252,9 +254,7 @@ impl Fusion {
         let (arch, guess) = (eye.arch, world_from_camera);
         let (pose, _) =
             sdf_alignment::align(arch, levels, volume, guess, noise, SETTLING_ITERATIONS)?;
-        let motion = motion_between(world_from_camera, &pose);
-        let is_near =
-            motion.rotation_rad < MAX_SETTLING_RAD && motion.translation_m < MAX_SETTLING_M;
+        let is_near = motion_between(world_from_camera, &pose).is_within(&MAX_SETTLING);
         is_near.then_some(pose)
     }
 

@@ -18,7 +18,7 @@ use super::raycast::{ModelMap, raycast_anywhere};
 use super::track::Track;
 use super::volume::TsdfVolume;
 use super::{Fit, FusionParams, MODEL_LEVEL, align, gates};
-use crate::geometry::{Pose, motion_between};
+use crate::geometry::{Motion, Pose, motion_between};
 use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
 
@@ -32,8 +32,10 @@ const ROWS: usize = 12;
 /// Depths that differ by more than this differ altogether, metres; arbitrary, the size of what is scanned.
 const MAX_DIFFERENCE_M: f32 = 0.1;
 /// A new place is so far from all others: alignment reaches twice as far.
-const PLACE_ROTATION_RAD: f64 = 0.1;
-const PLACE_TRANSLATION_M: f64 = 0.08;
+const PLACE: Motion = Motion {
+    rotation_rad: 0.1,
+    translation_m: 0.08,
+};
 /// So many places at most, 20 m of path; later ones are not kept.
 const MAX_PLACES: usize = 2000;
 /// So many of the places that look most alike are tried.
@@ -90,8 +92,7 @@ impl Places {
     /// Takes the place of a frame in if it is a new one.
     pub(super) fn visit(&mut self, eye: &Eye, track: &Track) {
         let is_near = |place: &Place| {
-            let motion = motion_between(&place.world_from_camera, &track.world_from_camera);
-            motion.rotation_rad < PLACE_ROTATION_RAD && motion.translation_m < PLACE_TRANSLATION_M
+            motion_between(&place.world_from_camera, &track.world_from_camera).is_within(&PLACE)
         };
         if self.places.len() < MAX_PLACES && !self.places.iter().any(is_near) {
             self.places.push(Place {
@@ -193,15 +194,25 @@ fn align_to(
     align(eye, &model, volume, pose, params, None, &mut |_| {})
 }
 
-/// Aligns the frame in hand to the model as seen from near where it was taken, and judges the result.
+/// Aligns the frame in hand to the model as seen from near where it was taken.
+pub(super) fn align_closely(
+    near: &Pose,
+    eye: &Eye,
+    volume: &TsdfVolume,
+    params: &FusionParams,
+) -> Option<(Pose, Fit)> {
+    let view = seen_from(near, eye, volume, MODEL_LEVEL);
+    align_to(&view, MODEL_LEVEL, near, eye, volume, params)
+}
+
+/// As [`align_closely`], and judges the result.
 fn lock(
     near: &Pose,
     eye: &Eye,
     volume: &TsdfVolume,
     params: &FusionParams,
 ) -> Option<(Fit, Hypothesis)> {
-    let view = seen_from(near, eye, volume, MODEL_LEVEL);
-    let (pose, fit) = align_to(&view, MODEL_LEVEL, near, eye, volume, params)?;
+    let (pose, fit) = align_closely(near, eye, volume, params)?;
     gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
     let model = believe(&pose, &fit, eye, volume)?;
     Some((

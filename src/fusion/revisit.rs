@@ -60,14 +60,14 @@ impl Revisits {
         for place in &mut self.places {
             let motion = motion_between(&place.world_from_camera, &track.world_from_camera);
             match place.since {
-                Since::Nothing if is_within(&motion, &BACK) => place.since = Since::Seen,
-                Since::Seen if !is_within(&motion, &ELSEWHERE) => place.since = Since::Left,
-                Since::Left if is_within(&motion, &BACK) => {
+                Since::Nothing if motion.is_within(&BACK) => place.since = Since::Seen,
+                Since::Seen if !motion.is_within(&ELSEWHERE) => place.since = Since::Left,
+                Since::Left if motion.is_within(&BACK) => {
                     self.back_secs.get_or_insert(track.time_secs);
                 }
                 _ => {}
             }
-            is_new &= !is_within(&motion, &NEW);
+            is_new &= !motion.is_within(&NEW);
         }
         if is_new && self.places.len() < MAX_PLACES {
             self.places.push(Place {
@@ -105,10 +105,6 @@ impl Revisits {
         self.places.retain(|place| place.time_secs <= after_secs);
         self.see_to();
     }
-}
-
-fn is_within(motion: &Motion, bound: &Motion) -> bool {
-    motion.rotation_rad < bound.rotation_rad && motion.translation_m < bound.translation_m
 }
 
 #[cfg(test)]

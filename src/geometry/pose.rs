@@ -23,6 +23,13 @@ pub struct Motion {
     pub translation_m: f64,
 }
 
+impl Motion {
+    /// Whether it turns and moves by less than another.
+    pub fn is_within(&self, bound: &Motion) -> bool {
+        self.rotation_rad < bound.rotation_rad && self.translation_m < bound.translation_m
+    }
+}
+
 /// The motion that leads from one pose to another.
 pub fn motion_between(world_from_a: &Pose, world_from_b: &Pose) -> Motion {
     Motion {
