@@ -174,16 +174,8 @@ impl Target<'_> {
     fn residuals(&self, points: &PointLanes, rows: &mut Rows) {
         let pixels;
         (rows.lever, pixels) = self.moved.places(points, self.lens);
-        let mut plane = [[0.0; LANES]; 3];
-        let (map_points, map_normals) = (self.map.points.data(), self.map.normals.data());
-        for i in 0..LANES {
-            let pixel = pixels[i] as usize;
-            let found = map_points.get(pixel).zip(map_normals.get(pixel));
-            for axis in 0..3 {
-                plane[axis][i] = found.map_or(0.0, |(point, _)| point[axis]);
-                rows.normal[axis][i] = found.map_or(0.0, |(_, normal)| normal[axis]);
-            }
-        }
+        let plane;
+        [plane, rows.normal] = self.map.planes(&pixels);
         for i in 0..LANES {
             let [x, y, z] = &points.normal;
             let normal = turn(&self.moved.rotation, &[x[i], y[i], z[i]], &[0.0; 3]);

@@ -219,17 +219,8 @@ impl Residuals for PointToPlane<'_> {
                 rows.lever[axis][i] = lever[axis];
             }
         }
-        let mut place = [[0.0; LANES]; 3];
-        let (map_points, map_normals) =
-            (self.model.map.points.data(), self.model.map.normals.data());
-        for i in 0..LANES {
-            let cell = cells[i] as usize;
-            let found = map_points.get(cell).zip(map_normals.get(cell));
-            for axis in 0..3 {
-                place[axis][i] = found.map_or(0.0, |(point, _)| point[axis]);
-                rows.normal[axis][i] = found.map_or(0.0, |(_, normal)| normal[axis]);
-            }
-        }
+        let place;
+        [place, rows.normal] = self.model.map.planes(&cells);
         for i in 0..LANES {
             let live = [
                 points.normal[0][i],

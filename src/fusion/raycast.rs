@@ -35,6 +35,22 @@ impl ModelMap {
             normals: Image::filled(width, height, Vector3::zeros()),
         }
     }
+
+    /// Points and normals of some pixels, 0 where there is no such pixel.
+    #[inline(always)]
+    pub fn planes(&self, pixels: &[u32; LANES]) -> [[Lane; 3]; 2] {
+        let mut planes = [[[0.0; LANES]; 3]; 2];
+        let (map_points, map_normals) = (self.points.data(), self.normals.data());
+        for i in 0..LANES {
+            let pixel = pixels[i] as usize;
+            let found = map_points.get(pixel).zip(map_normals.get(pixel));
+            for axis in 0..3 {
+                planes[0][axis][i] = found.map_or(0.0, |(point, _)| point[axis]);
+                planes[1][axis][i] = found.map_or(0.0, |(_, normal)| normal[axis]);
+            }
+        }
+        planes
+    }
 }
 
 /// A point of the surface with its normal.
