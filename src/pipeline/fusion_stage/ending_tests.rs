@@ -30,9 +30,13 @@ const COMMANDS: [Command; 5] = [
     Command::Reset,
 ];
 
-fn setup(stop: &StopToken, status: &StatusSlot, surfaces: Sender<SurfaceUpdate>) -> FusionSetup {
-    let info = INFO.clone();
-    let (fusion, calibration) = (FusionParams::default(), Calibration::shipped_for(&info));
+/// Fusion that writes nothing, of a camera that nobody corrects, on one thread.
+pub(super) fn setup(
+    info: CameraInfo,
+    fusion: FusionParams,
+    surfaces: Sender<SurfaceUpdate>,
+) -> FusionSetup {
+    let calibration = Calibration::shipped_for(&info);
     FusionSetup {
         correction: DepthCorrection::new(&info, &calibration.unwrap(), false, &fusion),
         info,
@@ -43,12 +47,12 @@ fn setup(stop: &StopToken, status: &StatusSlot, surfaces: Sender<SurfaceUpdate>)
         poses: None,
         pool: pool("track", NonZeroUsize::MIN).unwrap(),
         loops: LoopTiming::AtEnd,
-        status: status.clone(),
+        status: StatusSlot::default(),
         live: Live::default(),
         surfaces,
         folder: PathBuf::from("nothing is written here"),
         shading: None,
-        stop: stop.clone(),
+        stop: StopToken::default(),
     }
 }
 
@@ -98,7 +102,11 @@ fn run_with(n_frames: u64, commands: &[Command], stop: &StopToken) -> (Status, V
         commands_in.try_send(*command).unwrap();
     }
     drop(frames_in);
-    let setup = setup(stop, &status, surfaces_in);
+    let setup = FusionSetup {
+        status: status.clone(),
+        stop: stop.clone(),
+        ..setup(INFO.clone(), FusionParams::default(), surfaces_in)
+    };
     run(setup, frames_out, &commands_out, tracked_in, scans_in);
     // Whoever waits for a scan learns that there is none.
     assert_eq!(

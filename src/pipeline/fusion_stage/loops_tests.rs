@@ -1,12 +1,11 @@
 //! Loops that are closed while the scan goes on: a camera swings round a sphere with bumps, out of sight of where it began, and back.
 
-use super::*;
+use super::{ending_tests::setup, *};
 use crate::{
     capture::{EventKind, Tracked},
     fusion::LoopClosingParams,
     geometry::motion_between,
-    pipeline::{command::Command, edges, event_log::EventLog, threads::pool},
-    shading::Calibration,
+    pipeline::{command::Command, edges, event_log::EventLog},
 };
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::center;
@@ -66,24 +65,10 @@ impl Scan {
             },
             ..FusionParams::default()
         };
-        let calibration = Calibration::shipped_for(&info).expect("shipped");
         let (surfaces, _) = edges::surfaces();
         let setup = FusionSetup {
-            correction: DepthCorrection::new(&info, &calibration, false, &fusion),
-            info,
-            fusion,
-            infrared: None,
-            snapshot: SnapshotParams::default(),
-            self_calibration: None,
-            poses: None,
-            pool: pool("track", NonZeroUsize::MIN).expect("a thread"),
             loops,
-            status: StatusSlot::default(),
-            live: Live::default(),
-            surfaces,
-            folder: PathBuf::from("nothing is written here"),
-            shading: None,
-            stop: StopToken::default(),
+            ..setup(info, fusion, surfaces)
         };
         let (tracked, told) = edges::tracked(&EventLog::default());
         Scan {
