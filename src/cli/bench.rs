@@ -186,7 +186,7 @@ impl Run {
     fn new(info: &CameraInfo, config: &Config, infrared: Option<InfraredOptics>) -> Self {
         let model = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
-        let fusion = Fusion::new(model, noise, config.fusion.clone());
+        let fusion = Fusion::new(model, noise, config.fusion.clone()).by_turns();
         Run {
             fusion: match infrared {
                 Some(optics) => fusion.with_infrared(model, optics),

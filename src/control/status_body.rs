@@ -51,7 +51,8 @@ pub struct StatusBody {
 /// What is done to a scan at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct ImprovementBody {
-    /// `correct_depth`, `fuse_fragments`, `find_loops`, `align_fragments`, `close_loops`, `separate_thin_parts`.
+    /// `correct_depth`, `fuse_fragments`, `find_loops`, `align_fragments`, `close_loops`, `fuse_whole`,
+    /// `separate_thin_parts`.
     pub work: &'static str,
     /// Frames, fragments or pairs of them that are done.
     pub done: usize,

@@ -4,6 +4,7 @@ use super::block::{BLOCK_SIDE, BlockCoord};
 use super::icp::{Rotation, rows};
 use super::noise::DepthNoise;
 use super::pyramid::FramePyramid;
+use super::turns::Turns;
 use super::volume::{Refusal, TsdfVolume};
 use crate::geometry::Pose;
 use crate::geometry::lanes::{LANES, Lane};
@@ -25,8 +26,8 @@ pub struct Band {
     /// The touched blocks, in rising order.
     touched: Vec<u32>,
     refused: Refused,
-    /// The blocks in which the last samples lay, by how deep they lay in the band: neighbouring rays often share them.
-    last: Vec<Option<BlockCoord>>,
+    /// Where rays cross blocks, by how deep in the band.
+    crossings: Vec<Crossings>,
 }
 
 /// Blocks that were seen and not allocated; one that is seen in many frames counts once for each.
@@ -91,7 +92,8 @@ impl Band {
     }
 
     /// Finds the blocks within the truncation distance of a frame's depth and allocates those that are new. Pixels on rims that
-    /// mix two surfaces find none: most lie in the air between, and where there is surface others see it.
+    /// mix two surfaces find none: most lie in the air between, and where there is surface others see it. Blocks that are not new
+    /// are touched when it is their turn.
     pub fn find(
         &mut self,
         arch: Arch,
@@ -99,11 +101,12 @@ impl Band {
         frame: &FramePyramid,
         noise: &DepthNoise,
         world_from_camera: &Pose,
+        turns: Turns,
     ) {
         self.frame += 1;
         let band = BandOfRays::new(volume, world_from_camera);
-        self.last.clear();
-        self.last.resize(band.n_samples, None);
+        self.crossings.clear();
+        self.crossings.resize(band.n_samples, Crossings::default());
         let block_m = volume.voxel_size_m() * BLOCK_SIDE as f32;
         let pitch = 0.5 * frame.reduced[0].pitch;
         // Beyond this depth a grid's rays are too far apart, and blocks could fall between them.
@@ -124,12 +127,12 @@ impl Band {
                     rays.push([frame.rays.x[pixel], frame.rays.y[pixel], depth]);
                 }
                 if rays.n == LANES {
-                    self.mark(arch, volume, &band, &rays);
+                    self.mark(arch, volume, &band, &rays, turns);
                     rays.n = 0;
                 }
             }
         }
-        self.mark(arch, volume, &band, &rays);
+        self.mark(arch, volume, &band, &rays, turns);
         let mut touched = std::mem::take(&mut self.touched);
         touched.clear();
         touched.extend(self.touched_since(self.frame - 1));
@@ -137,36 +140,36 @@ impl Band {
     }
 
     /// Marks the blocks that rays cross from their depth less the truncation distance to their depth plus it.
-    fn mark(&mut self, arch: Arch, volume: &mut TsdfVolume, band: &BandOfRays, rays: &RayLanes) {
-        let mut shallower = [[i32::MIN; LANES]; 3];
-        for sample in 0..band.n_samples {
-            let coords = arch.dispatch(Sample {
-                volume,
-                band,
-                rays,
-                sample,
-            });
-            for ray in 0..rays.n {
-                let coord = coords.map(|lane| lane[ray]);
-                let is_known =
-                    self.last[sample] == Some(coord) || shallower.map(|lane| lane[ray]) == coord;
-                self.last[sample] = Some(coord);
-                if !is_known {
-                    self.touch(volume, coord);
-                }
+    fn mark(
+        &mut self,
+        arch: Arch,
+        volume: &mut TsdfVolume,
+        band: &BandOfRays,
+        rays: &RayLanes,
+        turns: Turns,
+    ) {
+        let mut crossings = std::mem::take(&mut self.crossings);
+        arch.dispatch(Cross {
+            volume,
+            band,
+            rays,
+            crossings: &mut crossings,
+        });
+        for at_depth in &crossings {
+            let fresh = at_depth.is_fresh[..rays.n].iter().enumerate();
+            for (ray, _) in fresh.filter(|(_, is_fresh)| **is_fresh) {
+                let [x, y, z] = &at_depth.coords;
+                self.touch(volume, [x[ray], y[ray], z[ray]], turns);
             }
-            shallower = coords;
         }
+        self.crossings = crossings;
     }
 
-    fn touch(&mut self, volume: &mut TsdfVolume, coord: BlockCoord) {
+    fn touch(&mut self, volume: &mut TsdfVolume, coord: BlockCoord, turns: Turns) {
         match volume.allocate(coord) {
-            Ok(block) => {
-                if block >= self.touched_in.len() {
-                    self.touched_in.push(0);
-                }
-                self.touched_in[block] = self.frame;
-            }
+            Ok(block) if block >= self.touched_in.len() => self.touched_in.push(self.frame),
+            Ok(block) if turns.is_due(coord, self.frame) => self.touched_in[block] = self.frame,
+            Ok(_) => {}
             Err(Refusal::Outside) => self.refused.n_outside += 1,
             Err(Refusal::OverBudget) => self.refused.n_over_budget += 1,
         }
@@ -211,25 +214,41 @@ impl RayLanes {
 }
 
 /// The blocks in which one sample of each ray lies.
-struct Sample<'a> {
+#[derive(Clone, Debug)]
+struct Crossings {
+    coords: [[i32; LANES]; 3],
+    /// Whether it is another block than that of the ray before, and than that of the shallower sample of the same ray.
+    is_fresh: [bool; LANES],
+}
+
+impl Default for Crossings {
+    /// No block of any volume.
+    fn default() -> Self {
+        Crossings {
+            coords: [[i32::MIN; LANES]; 3],
+            is_fresh: [false; LANES],
+        }
+    }
+}
+
+/// Finds the blocks that rays cross, from those of the rays before.
+struct Cross<'a> {
     volume: &'a TsdfVolume,
     band: &'a BandOfRays,
     rays: &'a RayLanes,
-    sample: usize,
+    crossings: &'a mut [Crossings],
 }
 
-impl WithSimd for Sample<'_> {
-    type Output = [[i32; LANES]; 3];
+impl WithSimd for Cross<'_> {
+    type Output = ();
 
     #[allow(
         clippy::needless_range_loop,
         reason = "one index runs through all the lanes, which is what becomes vector code"
     )]
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> [[i32; LANES]; 3] {
-        let Sample { band, rays, .. } = self;
-        // From -1 at the band's beginning to 1 at its end.
-        let share = 2.0 * self.sample as f32 / (band.n_samples - 1) as f32 - 1.0;
+    fn with_simd<S: Simd>(self, _: S) {
+        let Cross { band, rays, .. } = self;
         let mut rays_world = [[0.0; LANES]; 3];
         for (ray, row) in rays_world.iter_mut().zip(&band.rotation) {
             for i in 0..LANES {
@@ -237,19 +256,36 @@ impl WithSimd for Sample<'_> {
             }
         }
         let [x, y, z] = &rays_world;
-        let mut depth = [0.0; LANES];
+        let mut reach = [0.0; LANES];
         for i in 0..LANES {
             let length = (x[i] * x[i] + y[i] * y[i] + z[i] * z[i]).sqrt();
-            depth[i] = rays.depth[i] + band.truncation_m / length * share;
+            reach[i] = band.truncation_m / length;
         }
-        let mut coords = [[0; LANES]; 3];
-        for (axis, coords) in coords.iter_mut().enumerate() {
-            for i in 0..LANES {
-                let place = band.origin[axis] + rays_world[axis][i] * depth[i];
-                coords[i] = self.volume.block_coord(place);
+        let mut shallower = [[i32::MIN; LANES]; 3];
+        for (sample, crossings) in self.crossings.iter_mut().enumerate() {
+            // From -1 at the band's beginning to 1 at its end.
+            let share = 2.0 * sample as f32 / (band.n_samples - 1) as f32 - 1.0;
+            let (mut from_ray, mut from_sample) = ([0; LANES], [0; LANES]);
+            for axis in 0..3 {
+                let before = crossings.coords[axis][LANES - 1];
+                let coords = &mut crossings.coords[axis];
+                for i in 0..LANES {
+                    let depth = rays.depth[i] + reach[i] * share;
+                    let place = band.origin[axis] + rays_world[axis][i] * depth;
+                    coords[i] = self.volume.block_coord(place);
+                }
+                let mut of_ray_before = [before; LANES];
+                of_ray_before[1..].copy_from_slice(&coords[..LANES - 1]);
+                for i in 0..LANES {
+                    from_ray[i] |= coords[i] ^ of_ray_before[i];
+                    from_sample[i] |= coords[i] ^ shallower[axis][i];
+                }
             }
+            for i in 0..LANES {
+                crossings.is_fresh[i] = (from_ray[i] != 0) & (from_sample[i] != 0);
+            }
+            shallower = crossings.coords;
         }
-        coords
     }
 }
 
@@ -281,7 +317,7 @@ mod tests {
             for arch in arch_levels() {
                 let mut volume = TsdfVolume::new(voxel_size_m, 5.0 * voxel_size_m, usize::MAX);
                 let mut band = Band::default();
-                band.find(arch, &mut volume, &frame, &noise, &pose);
+                band.find(arch, &mut volume, &frame, &noise, &pose, Turns::EVERY_FRAME);
                 assert_eq!(band.touched().len(), volume.coords().len());
                 let expected = first.get_or_insert_with(|| volume.coords().to_vec());
                 assert_eq!(expected, volume.coords());
@@ -291,7 +327,7 @@ mod tests {
                     let place = [frame.rays.x[pixel] * z, frame.rays.y[pixel] * z, z];
                     let place = (pose * Point3::from(place).cast::<f64>()).cast::<f32>();
                     n_seen += u32::from(z > 0.0);
-                    let block = volume.find(volume.block_of(place.into()));
+                    let block = volume.find([0, 1, 2].map(|axis| volume.block_coord(place[axis])));
                     n_missed += u32::from(z > 0.0 && block.is_none());
                 }
                 // Rays three quarters of a block apart miss some corners.
@@ -319,7 +355,14 @@ mod tests {
             let mut frame = frame.clone();
             build_levels(arch, &noise, &mut frame);
             let mut volume = TsdfVolume::new(0.002, 0.01, usize::MAX);
-            Band::default().find(arch, &mut volume, &frame, &noise, &Pose::identity());
+            Band::default().find(
+                arch,
+                &mut volume,
+                &frame,
+                &noise,
+                &Pose::identity(),
+                Turns::EVERY_FRAME,
+            );
             let (near, far) = (volume.block_coord(0.83), volume.block_coord(0.97));
             let between = |coord: &&BlockCoord| (near..far).contains(&coord[2]);
             (

@@ -8,6 +8,7 @@ use super::preprocess::{DepthRange, build_levels, clip_depth};
 use super::pyramid::{FramePyramid, Level};
 use super::raycast::{ModelMap, raycast};
 use super::steps::{FusionStep, OnStep};
+use super::turns::Turns;
 use super::view::View;
 use super::volume::TsdfVolume;
 use crate::geometry::Lens;
@@ -63,6 +64,7 @@ impl Eye {
         volume: &mut TsdfVolume,
         band: &mut Band,
         world_from_camera: &Pose,
+        turns: Turns,
         on_step: &mut OnStep,
     ) {
         let truncation_m = volume.truncation_m();
@@ -74,9 +76,10 @@ impl Eye {
             &self.frame,
             &self.noise,
             world_from_camera,
+            turns,
         );
         on_step(FusionStep::Allocate);
-        let view = View::new(volume, self.lens, world_from_camera);
+        let view = View::new(volume, self.lens, world_from_camera, turns.weight());
         integrate(self.arch, volume, band.touched(), &self.observations, &view);
         on_step(FusionStep::Integrate);
     }

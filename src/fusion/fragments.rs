@@ -8,6 +8,7 @@ use super::eye::Eye;
 use super::fragment_alignment::AlignedPoints;
 use super::keyframes::Keyframe;
 use super::raycast::ModelMap;
+use super::turns::Turns;
 use super::{FusionParams, LoopClosingParams};
 use crate::geometry::{Pose, motion_between};
 use nalgebra::Vector3;
@@ -89,7 +90,13 @@ impl Fragment {
         for index in others.chain([anchor]) {
             if eye.take(&frames[index].depth_m()) {
                 let anchor_from_camera = anchor_from_world * frames[index].world_from_camera;
-                eye.fuse_into(&mut volume, &mut band, &anchor_from_camera, &mut |_| {});
+                eye.fuse_into(
+                    &mut volume,
+                    &mut band,
+                    &anchor_from_camera,
+                    Turns::EVERY_FRAME,
+                    &mut |_| {},
+                );
             }
         }
         let mut map = ModelMap::of_level(eye.level(FRAGMENT_LEVEL));

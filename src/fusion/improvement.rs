@@ -26,6 +26,8 @@ pub enum Work {
     AlignFragments,
     /// Frames are fused again with loops closed.
     CloseLoops,
+    /// Frames are fused again, every one into all that it sees.
+    FuseWhole,
     /// Frames are fused again with a narrow band.
     SeparateThinParts,
 }
@@ -39,6 +41,7 @@ impl Work {
             Work::FindLoops => "find_loops",
             Work::AlignFragments => "align_fragments",
             Work::CloseLoops => "close_loops",
+            Work::FuseWhole => "fuse_whole",
             Work::SeparateThinParts => "separate_thin_parts",
         }
     }

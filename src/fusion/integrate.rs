@@ -128,7 +128,7 @@ fn measure(
     seen: &[Observation; BRICK_VOXELS],
     depth: &[f32; BRICK_VOXELS],
 ) -> Measured {
-    let scale = 1.0 / view.truncation_m();
+    let (scale, frames) = (1.0 / view.truncation_m(), view.weight());
     let (mut distance, mut weight, mut any) = ([0.0; BRICK_VOXELS], [0.0; BRICK_VOXELS], 0);
     for voxel in 0..BRICK_VOXELS {
         let measured = step.depth_of(seen[voxel]);
@@ -136,7 +136,11 @@ fn measure(
         let counts = (measured > 0.0) & (truncations >= -1.0);
         let cut = if truncations < 1.0 { truncations } else { 1.0 };
         distance[voxel] = if counts { cut * TSDF_ONE } else { 0.0 };
-        weight[voxel] = if counts { weight_of(seen[voxel]) } else { 0.0 };
+        weight[voxel] = if counts {
+            weight_of(seen[voxel]) * frames
+        } else {
+            0.0
+        };
         any |= u32::from(counts);
     }
     Measured {
@@ -204,7 +208,7 @@ mod tests {
 
     fn fuse(arch: Arch, volume: &mut TsdfVolume, pixels: &[Observation], pose: &Pose) {
         let camera: CameraModel = distorted_camera();
-        let view = View::new(volume, Lens::new(&camera), pose);
+        let view = View::new(volume, Lens::new(&camera), pose, 1.0);
         let observations =
             Observations::of_pixels(arch, pixels, 512, depth_step(), volume.truncation_m());
         let touched: Vec<u32> = (0..volume.coords().len() as u32).collect();

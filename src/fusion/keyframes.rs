@@ -67,6 +67,11 @@ impl Keyframes {
         &self.frames[n_before..]
     }
 
+    /// Whether every frame was kept at first, so that at least every second one is held.
+    pub fn are_dense(&self) -> bool {
+        self.stride == 1 && !self.frames.is_empty()
+    }
+
     /// Moves all frames.
     pub fn correct(&mut self, correction: &PoseCorrection) {
         for frame in &mut self.frames {

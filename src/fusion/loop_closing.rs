@@ -17,6 +17,7 @@ use super::improvement::{Counted, GoesOn, Work};
 use super::keyframes::Keyframe;
 use super::pose_correction::PoseCorrection;
 use super::pose_graph::{Edge, optimise};
+use super::turns::Turns;
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
 use nalgebra::{Matrix6, Point3, Vector6};
@@ -270,7 +271,7 @@ pub(super) fn fuse_again(
         }
         if eye.take(&frame.depth_m()) {
             let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
-            eye.fuse_into(volume, band, &pose, &mut |_| {});
+            eye.fuse_into(volume, band, &pose, Turns::EVERY_FRAME, &mut |_| {});
         }
     }
     true

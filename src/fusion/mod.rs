@@ -26,6 +26,7 @@ mod normal_equations;
 mod points;
 mod sdf_alignment;
 mod track;
+mod turns;
 
 mod band;
 mod band_ends;
@@ -99,6 +100,7 @@ use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
 use revisit::Revisits;
 use track::{MAX_PREDICTION_SECS, STEADY_SECS, Track};
+use turns::Turns;
 use volume::TsdfVolume;
 
 /// The model image has 1/4 of the frame's resolution; the signed distances themselves give the last accuracy.
@@ -143,6 +145,8 @@ pub struct Fusion {
     is_given: bool,
     /// Whether the frame before was not tracked.
     is_interrupted: bool,
+    /// How often blocks of the volume are fused.
+    turns: Turns,
 }
 
 impl Fusion {
@@ -166,6 +170,7 @@ impl Fusion {
             n_unpolished: 0,
             is_given: false,
             is_interrupted: false,
+            turns: Turns::EVERY_FRAME,
             params,
         }
     }
@@ -239,6 +244,7 @@ impl Fusion {
         let found = loop_closing::find(frames, &self.eye, &self.params, goes_on)?;
         let closed = found.judged(&self.volume)?;
         self.replace_volume(closed.volume, closed.band);
+        self.turns = Turns::EVERY_FRAME;
         Some(closed.closure)
     }
 
@@ -421,7 +427,8 @@ impl Fusion {
     /// Fuses the frame in hand at a pose, and looks at the model from there.
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         let (eye, volume) = (&mut self.eye, &mut self.volume);
-        eye.fuse_into(volume, &mut self.band, &world_from_camera, on_step);
+        let (band, turns) = (&mut self.band, self.turns);
+        eye.fuse_into(volume, band, &world_from_camera, turns, on_step);
         self.places.forget_views();
         let map = self
             .model

@@ -330,14 +330,12 @@ impl<'a> Caster<'a> {
         let mut last: Option<(f32, f32)> = None;
         while z < range.far_m {
             let point = self.origin + direction * z;
-            let Some((distance, _)) = self.volume.sample_with_gradient(&point) else {
+            let seen = self.volume.seen_at(&point);
+            let sample = (seen == Some(true)).then(|| self.volume.sample_with_gradient(&point));
+            let Some((distance, _)) = sample.flatten() else {
                 last = None;
-                let is_empty = self
-                    .volume
-                    .find(self.volume.block_of(point.into()))
-                    .is_none();
                 // Half a block's side at once where there is no block.
-                z += if is_empty {
+                z += if seen.is_none() {
                     4.0 * voxel_step
                 } else {
                     voxel_step

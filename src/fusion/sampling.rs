@@ -1,6 +1,6 @@
 //! Samples of the volume by trilinear interpolation, one by one or of many points together.
 
-use super::block::{BLOCK_VOXELS, TSDF_ONE, UNSEEN, index_parts};
+use super::block::{BLOCK_VOXELS, BlockCoord, TSDF_ONE, UNSEEN, index_parts, voxel_index};
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ impl TsdfVolume {
     #[inline]
     pub fn sample_with_gradient(&self, point: &Vector3<f32>) -> Option<(f32, Vector3<f32>)> {
         let (voxel, fraction) = self.place([point.x, point.y, point.z]);
-        let corners = self.corners(voxel)?;
+        let corners = self.corners(&Cell::at(voxel))?;
         if corners.contains(&UNSEEN) {
             return None;
         }
@@ -26,7 +26,15 @@ impl TsdfVolume {
         Some((distance, Vector3::from(gradient)))
     }
 
-    /// The same at the `wanted` ones of many points, to the bit.
+    /// Whether the voxel at the low corner of a point's cell was seen, without which there is no sample; `None` where there is no block.
+    #[inline]
+    pub fn seen_at(&self, point: &Vector3<f32>) -> Option<bool> {
+        let (voxel, _) = self.place([point.x, point.y, point.z]);
+        let block = &self.blocks()[self.find(voxel.map(|i| i >> 3))?];
+        Some(block.tsdf[voxel_index(voxel) % BLOCK_VOXELS] != UNSEEN)
+    }
+
+    /// [`Self::sample_with_gradient`] at the `wanted` ones of many points, to the bit.
     #[allow(
         clippy::needless_range_loop,
         reason = "one index runs through all the lanes, which is what becomes vector code"
@@ -43,8 +51,9 @@ impl TsdfVolume {
         }
         let mut corners = [[UNSEEN; LANES]; 8];
         for i in 0..LANES {
+            let cell = Cell::at([voxels[0][i], voxels[1][i], voxels[2][i]]);
             if wanted[i]
-                && let Some(found) = self.corners([voxels[0][i], voxels[1][i], voxels[2][i]])
+                && let Some(found) = self.corners(&cell)
             {
                 for (corner, found) in corners.iter_mut().zip(found) {
                     corner[i] = found;
@@ -99,56 +108,82 @@ impl TsdfVolume {
         (lerp(y0, y1, fz) * scale, gradient)
     }
 
-    /// The raw distances of the eight voxels from `voxel` on, x fastest; `None` where there is no block.
+    /// The raw distances of the eight voxels of a cell, x fastest; `None` where there is no block.
     #[inline(always)]
-    fn corners(&self, voxel: [i32; 3]) -> Option<[i16; 8]> {
-        let local = voxel.map(|i| i & 7);
-        if local.contains(&7) {
-            return self.corners_of_several(voxel);
+    fn corners(&self, cell: &Cell) -> Option<[i16; 8]> {
+        let near = &self.blocks()[self.find(cell.block)?].tsdf;
+        if cell.across == 0 {
+            return Some(cell.read(|_| near));
         }
-        let tsdf = &self.blocks()[self.find(voxel.map(|i| i >> 3))?].tsdf;
-        let (low, high) = (index_parts(local), index_parts(local.map(|i| (i + 1) & 7)));
-        let at = |x: usize, y: usize, z: usize| tsdf[(x | y | z) % BLOCK_VOXELS];
-        let row = |y: usize, z: usize| [at(low[0], y, z), at(high[0], y, z)];
-        let [c000, c100] = row(low[1], low[2]);
-        let [c010, c110] = row(high[1], low[2]);
-        let [c001, c101] = row(low[1], high[2]);
-        let [c011, c111] = row(high[1], high[2]);
-        Some([c000, c100, c010, c110, c001, c101, c011, c111])
+        if cell.across.is_power_of_two() {
+            let far = &self.blocks()[self.find(cell.neighbour(cell.across))?].tsdf;
+            return Some(cell.read(|side| if side & cell.across == 0 { near } else { far }));
+        }
+        self.corners_of_several(cell)
     }
 
-    /// The same where the voxels lie in two, four or eight blocks; each block is looked up once.
-    fn corners_of_several(&self, voxel: [i32; 3]) -> Option<[i16; 8]> {
-        let local = voxel.map(|i| i & 7);
-        // Bit a is set where the neighbour along axis a lies in another block.
-        let across = (0..3).fold(0, |across, axis| {
-            across | usize::from(local[axis] == 7) << axis
-        });
-        let parts = [index_parts(local), index_parts(local.map(|i| (i + 1) & 7))];
+    /// The same where the voxels lie in four or eight blocks; each block is looked up once.
+    #[inline(never)]
+    fn corners_of_several(&self, cell: &Cell) -> Option<[i16; 8]> {
         let mut blocks = [0; 8];
-        let mut side = across;
+        let mut side = cell.across;
         loop {
-            let step = [side & 1, side >> 1 & 1, side >> 2];
-            blocks[side] =
-                self.find([0, 1, 2].map(|axis| (voxel[axis] >> 3) + step[axis] as i32))?;
+            blocks[side] = self.find(cell.neighbour(side))?;
             if side == 0 {
                 break;
             }
             // The next smaller subset of the axes across which there are other blocks.
-            side = (side - 1) & across;
+            side = (side - 1) & cell.across;
         }
-        let corners = std::array::from_fn(|side| {
-            let index = parts[side & 1][0] | parts[side >> 1 & 1][1] | parts[side >> 2][2];
-            self.blocks()[blocks[side & across]].tsdf[index % BLOCK_VOXELS]
-        });
-        Some(corners)
+        Some(cell.read(|side| &self.blocks()[blocks[side & cell.across]].tsdf))
+    }
+}
+
+/// Eight neighbouring voxels.
+struct Cell {
+    /// The block of the low corner.
+    block: BlockCoord,
+    /// What the coordinates of the low and of the high corner add to the index of a voxel in its block, by axis.
+    parts: [[usize; 3]; 2],
+    /// Bit a is set where the high corner along axis a lies in another block.
+    across: usize,
+}
+
+impl Cell {
+    /// The cell whose low corner is a voxel.
+    #[inline(always)]
+    fn at(voxel: [i32; 3]) -> Self {
+        let local = voxel.map(|i| i & 7);
+        Cell {
+            block: voxel.map(|i| i >> 3),
+            parts: [index_parts(local), index_parts(local.map(|i| (i + 1) & 7))],
+            across: (0..3).fold(0, |across, axis| {
+                across | usize::from(local[axis] == 7) << axis
+            }),
+        }
+    }
+
+    /// The block so many steps beyond that of the low corner: bit a of `side` stands for one along axis a.
+    #[inline(always)]
+    fn neighbour(&self, side: usize) -> BlockCoord {
+        [0, 1, 2].map(|axis| self.block[axis] + (side >> axis & 1) as i32)
+    }
+
+    /// The corners from the blocks in which they lie.
+    #[inline(always)]
+    fn read<'a>(&self, block_of: impl Fn(usize) -> &'a [i16; BLOCK_VOXELS]) -> [i16; 8] {
+        std::array::from_fn(|side| {
+            let [x, y, z] = [side & 1, side >> 1 & 1, side >> 2];
+            let index = self.parts[x][0] | self.parts[y][1] | self.parts[z][2];
+            block_of(side)[index % BLOCK_VOXELS]
+        })
     }
 }
 
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::fusion::block::{BLOCK_SIDE, voxel_index};
+    use crate::fusion::block::BLOCK_SIDE;
 
     /// A volume of 2 mm voxels within 48 mm of the origin, all seen often, that hold a closed-form distance (m).
     pub fn volume_of(truncation_m: f32, distance_m: impl Fn(f64, f64, f64) -> f64) -> TsdfVolume {

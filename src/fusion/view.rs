@@ -22,6 +22,7 @@ const ROUNDING_PX: f32 = 0.01;
 pub struct View {
     lens: Lens,
     truncation_m: f32,
+    weight: f32,
     /// World origin in the camera frame, metres.
     origin: Vector3<f64>,
     /// Columns are the steps from voxel to voxel along the world's axes, in the camera frame, metres.
@@ -62,8 +63,8 @@ pub struct Extent {
 }
 
 impl View {
-    /// The grid of a volume from a pose.
-    pub fn new(volume: &TsdfVolume, lens: Lens, world_from_camera: &Pose) -> Self {
+    /// The grid of a volume from a pose, for a frame that counts for `weight` frames.
+    pub fn new(volume: &TsdfVolume, lens: Lens, world_from_camera: &Pose, weight: f32) -> Self {
         let camera_from_world = world_from_camera.inverse();
         let rotation = camera_from_world.rotation.to_rotation_matrix();
         let axes = rotation.matrix() * f64::from(volume.voxel_size_m());
@@ -76,6 +77,7 @@ impl View {
         View {
             lens,
             truncation_m: volume.truncation_m(),
+            weight,
             origin: camera_from_world.translation.vector,
             steps: axes.cast::<f32>().into(),
             centres: std::array::from_fn(|axis| {
@@ -90,6 +92,12 @@ impl View {
     #[inline(always)]
     pub fn truncation_m(&self) -> f32 {
         self.truncation_m
+    }
+
+    /// For so many frames the frame counts.
+    #[inline(always)]
+    pub fn weight(&self) -> f32 {
+        self.weight
     }
 
     /// The bricks of a block.

@@ -103,13 +103,7 @@ impl TsdfVolume {
             + self.top.len() * size_of::<u32>()
     }
 
-    /// The block that holds a point (m).
-    #[inline(always)]
-    pub fn block_of(&self, point: [f32; 3]) -> BlockCoord {
-        point.map(|x| self.block_coord(x))
-    }
-
-    /// The same for one coordinate.
+    /// Coordinate of the block in which a coordinate (m) lies.
     #[inline(always)]
     pub fn block_coord(&self, x: f32) -> i32 {
         floor(x * self.inv_block)

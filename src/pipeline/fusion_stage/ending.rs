@@ -40,7 +40,11 @@ impl FusionStage {
             self.revise(snapshots.as_mut(), &goes_on);
             let closure = self.closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
-                pool.install(|| fusion.close_loops(&goes_on))
+                pool.install(|| {
+                    let closure = fusion.close_loops(&goes_on);
+                    fusion.complete(&goes_on);
+                    closure
+                })
             });
             if let Some(closure) = &closure {
                 tell_of(closure);

@@ -221,7 +221,7 @@ impl FusionStage {
         FusionStage {
             polish: setup.fusion.polish.enabled,
             fusion: setup.pool.install(|| {
-                let fusion = Fusion::new(camera, noise, setup.fusion);
+                let fusion = Fusion::new(camera, noise, setup.fusion).by_turns();
                 match setup.infrared {
                     Some(optics) => fusion.with_infrared(camera, optics),
                     None => fusion,

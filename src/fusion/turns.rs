@@ -1,0 +1,156 @@
+//! Blocks of the volume take turns: each takes in every second frame that sees it.
+//!
+//! Frames of one second show a place thirty times, with errors that are alike from frame to frame, and half of them make as good a
+//! model to track by. At the end of a scan all frames are fused anyhow, with their depth corrected and loops closed.
+
+use super::band::Band;
+use super::block::BlockCoord;
+use super::improvement::{Counted, GoesOn, Work};
+use super::{Fusion, PoseCorrection, loop_closing};
+
+/// In how many frames a block that is not new is fused once, neighbours by turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Turns(i32);
+
+impl Turns {
+    /// In every frame.
+    pub const EVERY_FRAME: Turns = Turns(1);
+    /// In every second frame.
+    pub const EVERY_SECOND: Turns = Turns(2);
+
+    /// For so many frames counts one that touches a block.
+    #[inline(always)]
+    pub fn weight(self) -> f32 {
+        self.0 as f32
+    }
+
+    /// Whether it is a block's turn in a frame.
+    pub fn is_due(self, coord: BlockCoord, frame: u32) -> bool {
+        let sum = coord
+            .iter()
+            .fold(frame as i32, |sum, c| sum.wrapping_add(*c));
+        sum.rem_euclid(self.0) == 0
+    }
+}
+
+impl Fusion {
+    /// The same with blocks that take turns: half the work, and frames are tracked as well. The volume becomes whole at the end, by
+    /// [`Self::close_loops`] or [`Self::complete`], from the frames that are kept; if none are, blocks take every frame.
+    pub fn by_turns(mut self) -> Self {
+        if self.params.loop_closing.max_memory_mb > 0 {
+            self.turns = Turns::EVERY_SECOND;
+        }
+        self
+    }
+
+    /// At the end of a scan whose blocks took turns: fuses the frames that are kept anew, where they lie, each into all that it sees.
+    /// Whether it did: nothing is changed if there is nothing to be gained, as where memory held less than every second frame, or
+    /// as soon as `goes_on` says no.
+    pub fn complete(&mut self, goes_on: &GoesOn) -> bool {
+        if self.turns == Turns::EVERY_FRAME || !self.keyframes.are_dense() {
+            return false;
+        }
+        let frames = self.keyframes.frames();
+        let (mut volume, mut band) = (self.params.empty_volume(), Band::default());
+        let step = Counted::new(Work::FuseWhole, frames.len(), goes_on);
+        let (anew, nowhere) = ((&mut volume, &mut band), PoseCorrection::default());
+        let is_whole =
+            loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| step.goes_on());
+        if is_whole {
+            self.replace_volume(volume, band);
+            self.turns = Turns::EVERY_FRAME;
+        }
+        is_whole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::tests::{frames, small_params};
+    use crate::fusion::{DepthNoise, FusionParams, TrackingOutcome};
+    use crate::geometry::{CameraModel, Pose, motion_between};
+    use depth_camera::{Frame, Sensor};
+
+    fn fusion(camera: CameraModel, params: FusionParams) -> Fusion {
+        Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params)
+    }
+
+    fn fuse(fusion: &mut Fusion, frame: &Frame) -> Pose {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        match fusion.fuse(depth, frame.device_time_secs) {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => world_from_camera,
+            other => panic!("frame {}: {other:?}", frame.frame_id),
+        }
+    }
+
+    #[test]
+    fn half_the_blocks_take_a_frame_and_tracking_is_as_good() {
+        let (frames, truth, camera) = frames(8);
+        let mut every = fusion(camera, small_params());
+        let mut by_turns = fusion(camera, small_params()).by_turns();
+        for (k, (frame, truth)) in frames.iter().zip(&truth).enumerate() {
+            fuse(&mut every, frame);
+            let off = motion_between(truth, &fuse(&mut by_turns, frame));
+            assert!(
+                off.translation_m < 0.004 && off.rotation_rad < 0.01,
+                "{off:?}"
+            );
+            let share = by_turns.band.touched().len() as f64 / every.band.touched().len() as f64;
+            let expected = if k == 0 { 1.0 } else { 0.5 };
+            assert!((share - expected).abs() < 0.1, "frame {k}: {share}");
+        }
+        // No surface is missing meanwhile.
+        let ratio = by_turns.mesh().area_m2() / every.mesh().area_m2();
+        assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+    }
+
+    #[test]
+    fn a_completed_volume_is_that_of_blocks_that_took_every_frame() {
+        let (frames, truth, camera) = frames(6);
+        let fused = |mut fusion: Fusion| {
+            for (frame, pose) in frames.iter().zip(&truth) {
+                let depth = frame.depth.as_ref().expect("Kinect II");
+                fusion.fuse_at(depth, frame.device_time_secs, pose);
+            }
+            fusion
+        };
+        let every = fused(fusion(camera, small_params()));
+        let mut by_turns = fused(fusion(camera, small_params()).by_turns());
+        let n_off = |by_turns: &Fusion| {
+            let vertices = every.mesh().vertices;
+            let far = vertices.iter().filter(|vertex| {
+                let off = by_turns.signed_distance(vertex);
+                off.is_none_or(|(distance, _)| distance.abs() > 2e-4)
+            });
+            (far.count(), vertices.len())
+        };
+        let (n_off_before, n_vertices) = n_off(&by_turns);
+        assert!(n_off_before * 5 > n_vertices, "{n_off_before}");
+        assert!(!by_turns.complete(&|_| false));
+        assert_eq!(n_off(&by_turns).0, n_off_before);
+        assert!(by_turns.complete(&|_| true));
+        // Depth was packed in steps of 0.1 mm.
+        let (n_off_after, _) = n_off(&by_turns);
+        assert!(n_off_after * 100 < n_vertices, "{n_off_after}");
+        // Once is enough.
+        assert!(!by_turns.complete(&|_| true));
+    }
+
+    #[test]
+    fn without_memory_for_frames_blocks_take_every_one() {
+        let (frames, _, camera) = frames(3);
+        let mut params = small_params();
+        params.loop_closing.max_memory_mb = 0;
+        let mut every = fusion(camera, params.clone());
+        let mut by_turns = fusion(camera, params).by_turns();
+        for frame in &frames {
+            fuse(&mut every, frame);
+            fuse(&mut by_turns, frame);
+            assert_eq!(every.band.touched(), by_turns.band.touched());
+        }
+        assert!(!by_turns.complete(&|_| true));
+    }
+}
