@@ -1,6 +1,6 @@
 //! Samples of the volume by trilinear interpolation, one by one or of many points together.
 
-use super::block::{BLOCK_VOXELS, BlockCoord, TSDF_ONE, UNSEEN, index_parts, voxel_index};
+use super::block::{BLOCK_VOXELS, TSDF_ONE, UNSEEN, index_parts, voxel_index};
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ impl TsdfVolume {
     #[inline]
     pub fn sample_with_gradient(&self, point: &Vector3<f32>) -> Option<(f32, Vector3<f32>)> {
         let (voxel, fraction) = self.place([point.x, point.y, point.z]);
-        let corners = self.corners(&Cell::at(voxel))?;
+        let corners = self.corners(voxel)?;
         if corners.contains(&UNSEEN) {
             return None;
         }
@@ -51,9 +51,8 @@ impl TsdfVolume {
         }
         let mut corners = [[UNSEEN; LANES]; 8];
         for i in 0..LANES {
-            let cell = Cell::at([voxels[0][i], voxels[1][i], voxels[2][i]]);
             if wanted[i]
-                && let Some(found) = self.corners(&cell)
+                && let Some(found) = self.corners([voxels[0][i], voxels[1][i], voxels[2][i]])
             {
                 for (corner, found) in corners.iter_mut().zip(found) {
                     corner[i] = found;
@@ -108,75 +107,49 @@ impl TsdfVolume {
         (lerp(y0, y1, fz) * scale, gradient)
     }
 
-    /// The raw distances of the eight voxels of a cell, x fastest; `None` where there is no block.
+    /// The raw distances of the eight voxels from `voxel` on, x fastest; `None` where there is no block.
     #[inline(always)]
-    fn corners(&self, cell: &Cell) -> Option<[i16; 8]> {
-        let near = &self.blocks()[self.find(cell.block)?].tsdf;
-        if cell.across == 0 {
-            return Some(cell.read(|_| near));
+    fn corners(&self, voxel: [i32; 3]) -> Option<[i16; 8]> {
+        let local = voxel.map(|i| i & 7);
+        if local.contains(&7) {
+            return self.corners_of_several(voxel);
         }
-        if cell.across.is_power_of_two() {
-            let far = &self.blocks()[self.find(cell.neighbour(cell.across))?].tsdf;
-            return Some(cell.read(|side| if side & cell.across == 0 { near } else { far }));
-        }
-        self.corners_of_several(cell)
+        let tsdf = &self.blocks()[self.find(voxel.map(|i| i >> 3))?].tsdf;
+        let (low, high) = (index_parts(local), index_parts(local.map(|i| (i + 1) & 7)));
+        let at = |x: usize, y: usize, z: usize| tsdf[(x | y | z) % BLOCK_VOXELS];
+        let row = |y: usize, z: usize| [at(low[0], y, z), at(high[0], y, z)];
+        let [c000, c100] = row(low[1], low[2]);
+        let [c010, c110] = row(high[1], low[2]);
+        let [c001, c101] = row(low[1], high[2]);
+        let [c011, c111] = row(high[1], high[2]);
+        Some([c000, c100, c010, c110, c001, c101, c011, c111])
     }
 
-    /// The same where the voxels lie in four or eight blocks; each block is looked up once.
-    #[inline(never)]
-    fn corners_of_several(&self, cell: &Cell) -> Option<[i16; 8]> {
+    /// The same where the voxels lie in two, four or eight blocks; each block is looked up once.
+    fn corners_of_several(&self, voxel: [i32; 3]) -> Option<[i16; 8]> {
+        let local = voxel.map(|i| i & 7);
+        // Bit a is set where the neighbour along axis a lies in another block.
+        let across = (0..3).fold(0, |across, axis| {
+            across | usize::from(local[axis] == 7) << axis
+        });
+        let parts = [index_parts(local), index_parts(local.map(|i| (i + 1) & 7))];
         let mut blocks = [0; 8];
-        let mut side = cell.across;
+        let mut side = across;
         loop {
-            blocks[side] = self.find(cell.neighbour(side))?;
+            let step = [side & 1, side >> 1 & 1, side >> 2];
+            blocks[side] =
+                self.find([0, 1, 2].map(|axis| (voxel[axis] >> 3) + step[axis] as i32))?;
             if side == 0 {
                 break;
             }
             // The next smaller subset of the axes across which there are other blocks.
-            side = (side - 1) & cell.across;
+            side = (side - 1) & across;
         }
-        Some(cell.read(|side| &self.blocks()[blocks[side & cell.across]].tsdf))
-    }
-}
-
-/// Eight neighbouring voxels.
-struct Cell {
-    /// The block of the low corner.
-    block: BlockCoord,
-    /// What the coordinates of the low and of the high corner add to the index of a voxel in its block, by axis.
-    parts: [[usize; 3]; 2],
-    /// Bit a is set where the high corner along axis a lies in another block.
-    across: usize,
-}
-
-impl Cell {
-    /// The cell whose low corner is a voxel.
-    #[inline(always)]
-    fn at(voxel: [i32; 3]) -> Self {
-        let local = voxel.map(|i| i & 7);
-        Cell {
-            block: voxel.map(|i| i >> 3),
-            parts: [index_parts(local), index_parts(local.map(|i| (i + 1) & 7))],
-            across: (0..3).fold(0, |across, axis| {
-                across | usize::from(local[axis] == 7) << axis
-            }),
-        }
-    }
-
-    /// The block so many steps beyond that of the low corner: bit a of `side` stands for one along axis a.
-    #[inline(always)]
-    fn neighbour(&self, side: usize) -> BlockCoord {
-        [0, 1, 2].map(|axis| self.block[axis] + (side >> axis & 1) as i32)
-    }
-
-    /// The corners from the blocks in which they lie.
-    #[inline(always)]
-    fn read<'a>(&self, block_of: impl Fn(usize) -> &'a [i16; BLOCK_VOXELS]) -> [i16; 8] {
-        std::array::from_fn(|side| {
-            let [x, y, z] = [side & 1, side >> 1 & 1, side >> 2];
-            let index = self.parts[x][0] | self.parts[y][1] | self.parts[z][2];
-            block_of(side)[index % BLOCK_VOXELS]
-        })
+        let corners = std::array::from_fn(|side| {
+            let index = parts[side & 1][0] | parts[side >> 1 & 1][1] | parts[side >> 2][2];
+            self.blocks()[blocks[side & across]].tsdf[index % BLOCK_VOXELS]
+        });
+        Some(corners)
     }
 }
 
