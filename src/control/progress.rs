@@ -192,7 +192,7 @@ fn improving(improvement: Improvement) -> String {
         Work::FindLoops => of("closing loops: looking for them from fragment"),
         Work::AlignFragments => of("closing loops: pair"),
         Work::CloseLoops => of("closing loops: frame"),
-        Work::FuseWhole => of("fusing every frame: frame"),
+        Work::FuseWhole => of("completing the model: frame"),
         Work::SeparateThinParts => of("separating thin parts: frame"),
     }
 }

@@ -67,7 +67,8 @@ pub struct Albedo {
 
 /// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
-/// A facet keeps its tint while the logarithm of its group's albedo changes by no more.
+/// Groups whose logarithms of albedo differ by less are one: what changes slowly by less is told as tints. A facet keeps its tint
+/// while that of its group changes by less.
 const SAME_GROUP: f64 = 0.1;
 /// Cost of each neighbour in another group, in units of an independent negative log likelihood: V of Eq. (4).
 const POTTS: f64 = 1.5;
@@ -119,6 +120,13 @@ impl Albedo {
             pair_cost,
         };
         let albedo = Self::of_labels(labelling.solve(), n_groups, &ratios);
+        if groups.mode == AlbedoMode::Mixture && albedo.has_twins() {
+            let fewer = Groups {
+                at_most: n_groups - 1,
+                ..groups
+            };
+            return Self::estimate(sites, neighbours, observations, fewer, current);
+        }
         Some(match current {
             Some((before, _)) => {
                 let kept = before.kept_tints(&albedo);
@@ -133,6 +141,13 @@ impl Albedo {
         let ratios = ratios(sites, observations, Some((&self, loss)));
         let tints = tints(sites, &self.labels, &self.groups, &ratios);
         self.tinted(tints, &ratios)
+    }
+
+    /// Whether two groups are of nearly one albedo: a stain may look like two materials until each is measured.
+    fn has_twins(&self) -> bool {
+        let mut logs: Vec<f64> = self.groups.iter().map(|albedo| albedo.ln()).collect();
+        logs.sort_by(f64::total_cmp);
+        logs.windows(2).any(|pair| pair[1] - pair[0] < SAME_GROUP)
     }
 
     /// The tints of those facets that stay in a group of the same albedo.
@@ -325,6 +340,18 @@ pub fn face_neighbours(sides: &[[u32; 3]], n_edges: usize) -> Vec<[u32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stain_in_two_halves_is_no_second_material() {
+        let has_twins = |albedos: [f64; 2]| {
+            let ratios = albedos.map(|albedo| (2.0 * albedo, 2.0));
+            Albedo::of_labels(vec![0, 1], 2, &ratios).has_twins()
+        };
+        assert!(has_twins([0.165, 0.179]) && has_twins([0.179, 0.165]));
+        assert!(!has_twins([0.15, 0.21]));
+        // A group that no facet belongs to has the albedo of all.
+        assert!(Albedo::of_labels(vec![0, 0], 2, &[(0.3, 2.0); 2]).has_twins());
+    }
 
     #[test]
     fn a_facet_keeps_its_tint_until_it_goes_to_another_material() {

@@ -36,7 +36,7 @@ const WORKS = {
   find_loops: 'Looking for loops, fragment',
   align_fragments: 'Closing loops, pair',
   close_loops: 'Closing loops, frame',
-  fuse_whole: 'Fusing every frame, frame',
+  fuse_whole: 'Completing the model, frame',
   separate_thin_parts: 'Separating thin parts, frame',
 };
 
