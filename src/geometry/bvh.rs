@@ -85,9 +85,12 @@ impl TriangleBvh {
             match self.nodes[node as usize].content {
                 Content::Leaf { first, end } => {
                     for triangle in first as usize..end as usize {
-                        let face = self.faces[triangle];
-                        let (point, weights) =
-                            closest_on_triangle(&self.triangles[triangle], query);
+                        let (face, corners) = (self.faces[triangle], &self.triangles[triangle]);
+                        let (low, high) = box_of(corners);
+                        if distance_squared(&low, &high, query) > limit {
+                            continue;
+                        }
+                        let (point, weights) = closest_on_triangle(corners, query);
                         let distance = (query - point).norm_squared();
                         let first_of_equals = best.is_none_or(|(other, ..)| face < other);
                         if distance < limit || (distance == limit && first_of_equals) {
@@ -184,10 +187,8 @@ impl TriangleBvh {
         let mut high = Vector3::repeat(f64::NEG_INFINITY);
         for item in items {
             let triangle = mesh.corners(item.face as usize);
-            for corner in &triangle {
-                low = low.inf(&corner.coords);
-                high = high.sup(&corner.coords);
-            }
+            let around = box_of(&triangle);
+            (low, high) = (low.inf(&around.0), high.sup(&around.1));
             self.triangles.push(triangle);
             self.faces.push(item.face);
         }
@@ -198,9 +199,7 @@ impl TriangleBvh {
 impl Node {
     /// Squared distance of a point from the box; 0 within.
     fn distance_squared(&self, point: &Point3<f64>) -> f64 {
-        let below = self.low - point.coords;
-        let above = point.coords - self.high;
-        below.sup(&above).sup(&Vector3::zeros()).norm_squared()
+        distance_squared(&self.low, &self.high, point)
     }
 
     /// Whether the ray of this origin and inverse direction passes through the box before `max_t`.
@@ -215,6 +214,18 @@ impl Node {
         }
         enter <= leave
     }
+}
+
+/// The box of a triangle.
+fn box_of([a, b, c]: &[Point3<f64>; 3]) -> (Vector3<f64>, Vector3<f64>) {
+    let low = a.coords.inf(&b.coords).inf(&c.coords);
+    (low, a.coords.sup(&b.coords).sup(&c.coords))
+}
+
+/// Squared distance of a point from a box; 0 within.
+fn distance_squared(low: &Vector3<f64>, high: &Vector3<f64>, point: &Point3<f64>) -> f64 {
+    let (below, above) = (low - point.coords, point.coords - high);
+    below.sup(&above).sup(&Vector3::zeros()).norm_squared()
 }
 
 /// A face while the tree is built; `f32` suffices to sort by and halves the memory that is moved.

@@ -82,22 +82,24 @@ fn draw(buffer: &mut DepthBuffer, face: u32, corners: [Corner; 3]) {
         ((p - first).perp(&(q - first)) * per_area, -along.y, along.x)
     };
     let (weight_a, weight_b) = (weight(&b, &c), weight(&c, &a));
-    let inv_depth = corners.map(|corner| corner.inv_depth);
-    for v in v0..=v1 {
-        for u in u0..=u1 {
-            let (right, down) = ((u - u0) as f64, (v - v0) as f64);
-            let [wa, wb] =
-                [weight_a, weight_b].map(|(w, by_u, by_v)| w + by_u * right + by_v * down);
-            let wc = 1.0 - wa - wb;
-            if wa < 0.0 || wb < 0.0 || wc < 0.0 {
+    // 1/z is linear, too: that of the third corner, and how the others differ from it.
+    let [inv_a, inv_b, inv_c] = corners.map(|corner| corner.inv_depth);
+    let (inv_a, inv_b) = (inv_a - inv_c, inv_b - inv_c);
+    for v in v0..v1 + 1 {
+        let down = (v - v0) as f64;
+        let [row_a, row_b] = [weight_a, weight_b].map(|(w, _, by_v)| w + by_v * down);
+        let row = v * width + u0..v * width + u1 + 1;
+        let depths = &mut buffer.depth_m.data_mut()[row.clone()];
+        let faces = &mut buffer.face.data_mut()[row];
+        for (right, (nearest, seen)) in depths.iter_mut().zip(faces).enumerate() {
+            let right = right as f64;
+            let (wa, wb) = (row_a + weight_a.1 * right, row_b + weight_b.1 * right);
+            if wa < 0.0 || wb < 0.0 || wa + wb > 1.0 {
                 continue;
             }
-            let inv = wa * inv_depth[0] + wb * inv_depth[1] + wc * inv_depth[2];
-            let depth = (1.0 / inv) as f32;
-            let pixel = v * width + u;
-            if depth < buffer.depth_m.data()[pixel] {
-                buffer.depth_m.data_mut()[pixel] = depth;
-                buffer.face.data_mut()[pixel] = face;
+            let depth = (1.0 / (inv_c + wa * inv_a + wb * inv_b)) as f32;
+            if depth < *nearest {
+                (*nearest, *seen) = (depth, face);
             }
         }
     }

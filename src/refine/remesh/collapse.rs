@@ -84,7 +84,7 @@ fn keeps_topology(mesh: &DynamicMesh, a: u32, b: u32, rings: &mut [Vec<u32>; 2])
         return false;
     }
     let keeps_fan = |apex: u32| {
-        mesh.n_faces_of(apex)
+        mesh.faces_of(apex).len()
             > if mesh.kind(apex) == VertexKind::Interior {
                 3
             } else {

@@ -135,9 +135,9 @@ impl DynamicMesh {
             .map(move |&face| starting_at(self.faces[face as usize], vertex))
     }
 
-    /// How many faces a vertex has; 0 once it has been removed.
-    pub fn n_faces_of(&self, vertex: u32) -> usize {
-        self.faces_of[vertex as usize].len()
+    /// The faces that have a vertex as a corner; none once it has been removed.
+    pub fn faces_of(&self, vertex: u32) -> &[u32] {
+        &self.faces_of[vertex as usize]
     }
 
     /// How the faces lie around a vertex.

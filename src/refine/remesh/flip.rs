@@ -56,7 +56,7 @@ fn valence_gain(mesh: &DynamicMesh, ends: [u32; 2], apexes: [u32; 2]) -> i64 {
         } else {
             6
         };
-        mesh.n_faces_of(vertex) as i64 - wanted
+        mesh.faces_of(vertex).len() as i64 - wanted
     };
     let square = |x: i64| x * x;
     let losing = |vertex: u32| square(excess(vertex)) - square(excess(vertex) - 1);

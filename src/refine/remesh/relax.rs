@@ -17,14 +17,17 @@ const SLIVER_HEIGHT: f64 = 0.05;
 /// Moves interior vertices to the area-weighted means of their neighbours, within their tangent planes, and from there
 /// to the closest points of the surface. Vertices on the border stay, and so do those that would fold the surface.
 pub(super) fn relax_onto(mesh: &mut DynamicMesh, surface: &TriangleBvh) {
-    let areas: Vec<f64> = per_vertex(mesh, |vertex| {
-        mesh.fan(vertex).map(|face| mesh.normal(face).norm()).sum()
-    });
+    let normals: Vec<Vector3<f64>> = (0..mesh.n_face_slots())
+        .into_par_iter()
+        .map(|face| mesh.face(face).map_or_else(Vector3::zeros, |corners| mesh.normal(corners)))
+        .collect();
+    let around = |vertex: u32| mesh.faces_of(vertex).iter().map(|&face| &normals[face as usize]);
+    let areas: Vec<f64> = per_vertex(mesh, |vertex| around(vertex).map(Vector3::norm).sum());
     let moved = per_vertex(mesh, |vertex| {
-        if mesh.kind(vertex) != VertexKind::Interior || mesh.n_faces_of(vertex) == 0 {
+        if mesh.kind(vertex) != VertexKind::Interior || mesh.faces_of(vertex).is_empty() {
             return *mesh.position(vertex);
         }
-        let target = relaxed(mesh, vertex, &areas);
+        let target = relaxed(mesh, vertex, &areas, &around(vertex).sum());
         surface
             .closest_point(&target, f64::INFINITY)
             .map_or(target, |closest| closest.point)
@@ -40,14 +43,12 @@ fn per_vertex<T: Send>(mesh: &DynamicMesh, value: impl Fn(u32) -> T + Sync + Sen
         .collect()
 }
 
-/// The weighted mean of the neighbours, moved along the normal to the tangent plane of the vertex.
-fn relaxed(mesh: &DynamicMesh, vertex: u32, areas: &[f64]) -> Point3<f64> {
+/// The weighted mean of the neighbours, moved along the normal (of any length) to the tangent plane of the vertex.
+fn relaxed(mesh: &DynamicMesh, vertex: u32, areas: &[f64], normal: &Vector3<f64>) -> Point3<f64> {
     let p = mesh.position(vertex);
-    let mut normal = Vector3::zeros();
     let (mut offset, mut weight) = (Vector3::zeros(), 0.0);
-    for face in mesh.fan(vertex) {
-        normal += mesh.normal(face);
-        for neighbour in [face[1], face[2]] {
+    for [_, next, last] in mesh.fan(vertex) {
+        for neighbour in [next, last] {
             let area = areas[neighbour as usize];
             offset += (mesh.position(neighbour) - p) * area;
             weight += area;
@@ -64,28 +65,38 @@ fn relaxed(mesh: &DynamicMesh, vertex: u32, areas: &[f64]) -> Point3<f64> {
 
 /// Puts vertices back to `old` wherever a face around them has turned too far.
 fn put_back_folds(mesh: &mut DynamicMesh, old: &[Point3<f64>]) {
+    let mut suspects: Vec<u32> = (0..mesh.n_face_slots() as u32).collect();
     for _ in 0..MAX_REPAIRS {
-        let folded = per_vertex(mesh, |vertex| {
-            mesh.position(vertex) != &old[vertex as usize]
-                && mesh.fan(vertex).any(|face| has_turned(mesh, face, old))
-        });
-        if !folded.contains(&true) {
+        let corners = |&face: &u32| mesh.face(face as usize);
+        let turned = suspects.par_iter().filter_map(corners);
+        let turned: Vec<[u32; 3]> = turned.filter(|&face| has_turned(mesh, face, old)).collect();
+        suspects.clear();
+        for vertex in turned.into_iter().flatten() {
+            let place = &mut mesh.positions[vertex as usize];
+            if *place != old[vertex as usize] {
+                *place = old[vertex as usize];
+                // Only a face with a corner that was put back can have turned again.
+                suspects.extend_from_slice(mesh.faces_of(vertex));
+            }
+        }
+        if suspects.is_empty() {
             return;
         }
-        for (vertex, _) in folded.iter().enumerate().filter(|(_, folded)| **folded) {
-            mesh.positions[vertex] = old[vertex];
-        }
+        suspects.sort_unstable();
+        suspects.dedup();
     }
 }
 
 fn has_turned(mesh: &DynamicMesh, face: [u32; 3], old: &[Point3<f64>]) -> bool {
     let [a, b, c] = face.map(|vertex| old[vertex as usize]);
-    let before = (b - a).cross(&(c - a));
+    let (before, after) = ((b - a).cross(&(c - a)), mesh.normal(face));
     let longest = (b - a)
         .norm_squared()
         .max((c - b).norm_squared())
         .max((a - c).norm_squared());
-    let after = mesh.normal(face);
-    before.norm() > SLIVER_HEIGHT * longest
-        && after.dot(&before) < MIN_TURN_COSINE * after.norm() * before.norm()
+    let along = after.dot(&before);
+    let (before, after) = (before.norm_squared(), after.norm_squared());
+    let is_sliver = before <= (SLIVER_HEIGHT * longest).powi(2);
+    let stands = along > 0.0 && along * along >= MIN_TURN_COSINE.powi(2) * after * before;
+    !is_sliver && !stands
 }
