@@ -6,7 +6,11 @@ use super::{
 };
 use crate::geometry::Pose;
 use depth_camera::Image;
-use std::{fs, path::Path};
+use rayon::prelude::*;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 /// One shading image as it was read.
 #[derive(Clone, Debug)]
@@ -31,14 +35,14 @@ pub struct StoredSnapshot {
 /// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be.
 pub fn read_snapshots(dir: &Path) -> Result<Vec<StoredSnapshot>, ExportError> {
     let root = dir.join("snapshots");
-    let mut snapshots = Vec::new();
-    loop {
-        let folder = root.join(folder_name(snapshots.len()));
-        if !folder.join("meta.json").is_file() {
-            return Ok(snapshots);
-        }
-        snapshots.push(read_snapshot(&folder)?);
-    }
+    let folders = (0..).map(|index| root.join(folder_name(index)));
+    let whole = folders.take_while(|folder| folder.join("meta.json").is_file());
+    let whole: Vec<PathBuf> = whole.collect();
+    let read: Vec<Result<_, _>> = whole
+        .par_iter()
+        .map(|folder| read_snapshot(folder))
+        .collect();
+    read.into_iter().collect()
 }
 
 fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {

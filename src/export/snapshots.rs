@@ -8,6 +8,7 @@ use super::{
 };
 use crate::geometry::Pose;
 use depth_camera::Image;
+use rayon::prelude::*;
 use std::{
     fs,
     io::{self, Write},
@@ -55,9 +56,9 @@ pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), Exp
         check(record).map_err(|what| ExportError::unfit(&root.join(folder_name(index)), what))?;
     }
     fs::create_dir_all(&root).map_err(|cause| ExportError::write(&root, cause))?;
-    for (index, record) in records.iter().enumerate() {
-        write_snapshot(&root.join(folder_name(index)), record)?;
-    }
+    let folders = records.par_iter().enumerate();
+    folders
+        .try_for_each(|(index, record)| write_snapshot(&root.join(folder_name(index)), record))?;
     for index in records.len().. {
         let stale = root.join(folder_name(index));
         if !stale.is_dir() {

@@ -11,6 +11,7 @@ use crate::{
     snapshot::ShadingSnapshot,
 };
 use depth_camera::Image;
+use rayon::prelude::*;
 
 /// Shading images shown at most; they are spread over the scan.
 const MAX_THUMBNAILS: usize = 12;
@@ -25,17 +26,20 @@ pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
     let draw_all = |mesh: &TriMesh| {
         let normals = mesh.vertex_normals();
         let draw = |view: &PictureView| phong(mesh, &normals, view, &PhongParams::default());
-        views.iter().flatten().map(draw).collect()
+        views.par_iter().flatten().map(draw).collect::<Vec<_>>()
     };
+    let draw_refined = || {
+        let refinement = refined.refinement.iter();
+        refinement
+            .flat_map(|refinement| draw_all(&refinement.mesh))
+            .collect()
+    };
+    let (base, refined_pictures) = rayon::join(|| draw_all(shown), draw_refined);
     let snapshots = scan.snapshots.iter().flat_map(|s| &s.accepted);
     let every = snapshots.clone().count().div_ceil(MAX_THUMBNAILS).max(1);
     ReportPictures {
-        base: draw_all(shown),
-        refined: refined
-            .refinement
-            .iter()
-            .flat_map(|refinement| draw_all(&refinement.mesh))
-            .collect(),
+        base,
+        refined: refined_pictures,
         thumbnails: snapshots.step_by(every).map(thumbnail).collect(),
         depth_thumbnail: scan.last_depth.as_ref().map(depth_as_grey),
         fields: match (&views, &refined.refinement) {
@@ -49,52 +53,53 @@ pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
 fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
     let evidence = &refinement.evidence;
     let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
-    let field = |title, caption: &str, values: &[f64], high: f64, factor| SurfaceField {
-        title,
-        caption: caption.to_owned(),
-        values: draw_field(&refinement.mesh, values, front),
-        range: [0.0, high],
-        factor,
-    };
     let n_views: Vec<f64> = evidence.n_views.iter().copied().map(f64::from).collect();
     let high_sigma_m = evidence.summary().high_sigma_m;
-    vec![
-        field(
+    let fields: [(_, &str, &[f64], f64, f64); 5] = [
+        (
             "Albedo",
             "That of the group to which the surface was given; one colour is one label.",
             &refinement.albedo,
             largest(&refinement.albedo),
             1.0,
         ),
-        field(
+        (
             "Sigma, mm",
             "Standard deviation of the displacement.",
             &evidence.sigma_m,
             1.2 * high_sigma_m,
             1000.0,
         ),
-        field(
+        (
             "Confidence",
             "Share of the displacement's variance that the images took away.",
             &evidence.confidence,
             1.0,
             1.0,
         ),
-        field(
+        (
             "Coverage",
             "Share of what is known of the worst known tilt that the images say; dark means the prior rules.",
             &evidence.coverage,
             1.0,
             1.0,
         ),
-        field(
+        (
             "Images",
             "How many shading images show the surface; where there is none it is as it was fused.",
             &n_views,
             largest(&n_views),
             1.0,
         ),
-    ]
+    ];
+    let draw = |(title, caption, values, high, factor): (_, &str, &[f64], f64, f64)| SurfaceField {
+        title,
+        caption: caption.to_owned(),
+        values: draw_field(&refinement.mesh, values, front),
+        range: [0.0, high],
+        factor,
+    };
+    fields.into_par_iter().map(draw).collect()
 }
 
 fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {

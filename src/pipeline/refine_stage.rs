@@ -84,7 +84,8 @@ pub fn run(
     let base = summary.object.as_ref().unwrap_or(&scan.base);
     summary.base_mesh = Some(export_clock.time(|| deliver_base(setup, base, outbox)));
     let refined = shading_images(setup, &scan).and_then(|snapshots| {
-        export_clock.time(|| outbox.snapshots(snapshots, None, &setup.info));
+        let write = || outbox.snapshots(snapshots, None, &setup.info);
+        export_clock.time(|| setup.pool.install(write));
         if setup.refine.is_none() {
             return Err(SWITCHED_OFF.to_owned());
         }
@@ -119,9 +120,10 @@ pub fn run(
             );
             export_clock.time(|| {
                 outbox.refined_mesh(&refinement);
-                if let Some(selection) = &scan.snapshots {
+                let write = |selection: &SnapshotSelection| {
                     outbox.snapshots(&selection.accepted, Some(&refinement.masks), &setup.info);
-                }
+                };
+                setup.pool.install(|| scan.snapshots.iter().for_each(write));
             });
             summary.refinement = Some(refinement);
         }

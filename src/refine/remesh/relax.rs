@@ -19,9 +19,16 @@ const SLIVER_HEIGHT: f64 = 0.05;
 pub(super) fn relax_onto(mesh: &mut DynamicMesh, surface: &TriangleBvh) {
     let normals: Vec<Vector3<f64>> = (0..mesh.n_face_slots())
         .into_par_iter()
-        .map(|face| mesh.face(face).map_or_else(Vector3::zeros, |corners| mesh.normal(corners)))
+        .map(|face| {
+            mesh.face(face)
+                .map_or_else(Vector3::zeros, |corners| mesh.normal(corners))
+        })
         .collect();
-    let around = |vertex: u32| mesh.faces_of(vertex).iter().map(|&face| &normals[face as usize]);
+    let around = |vertex: u32| {
+        mesh.faces_of(vertex)
+            .iter()
+            .map(|&face| &normals[face as usize])
+    };
     let areas: Vec<f64> = per_vertex(mesh, |vertex| around(vertex).map(Vector3::norm).sum());
     let moved = per_vertex(mesh, |vertex| {
         if mesh.kind(vertex) != VertexKind::Interior || mesh.faces_of(vertex).is_empty() {
