@@ -94,22 +94,19 @@ impl CellGrid {
     #[inline(always)]
     pub fn around(&self, u: &Lane, v: &Lane) -> ([[u32; LANES]; 4], [Lane; 4]) {
         let (mut cells, mut shares) = ([[0; LANES]; 4], [[0.0; LANES]; 4]);
+        let (left, right, along) = self.all_between(u, self.columns);
+        let (above, below, down) = self.all_between(v, self.rows);
+        let columns = self.columns as u32;
         for i in 0..LANES {
-            let (left, right, along) = self.between(u[i], self.columns);
-            let (above, below, down) = self.between(v[i], self.rows);
-            let [above, below] = [above, below].map(|row| row * self.columns as u32);
-            let around = [above + left, above + right, below + left, below + right];
-            let [before, beyond] = [1.0 - down, down];
-            let share = [
-                (1.0 - along) * before,
-                along * before,
-                (1.0 - along) * beyond,
-                along * beyond,
-            ];
-            for k in 0..4 {
-                cells[k][i] = around[k];
-                shares[k][i] = share[k];
-            }
+            let (above, below) = (above[i] * columns, below[i] * columns);
+            cells[0][i] = above + left[i];
+            cells[1][i] = above + right[i];
+            cells[2][i] = below + left[i];
+            cells[3][i] = below + right[i];
+            shares[0][i] = (1.0 - along[i]) * (1.0 - down[i]);
+            shares[1][i] = along[i] * (1.0 - down[i]);
+            shares[2][i] = (1.0 - along[i]) * down[i];
+            shares[3][i] = along[i] * down[i];
         }
         (cells, shares)
     }
@@ -174,6 +171,16 @@ impl CellGrid {
         let place = place.max(0.0).min(last as f32);
         let first = floor(place) as u32;
         (first, (first + 1).min(last), place - first as f32)
+    }
+
+    /// [`Self::between`] of many pixels.
+    #[inline(always)]
+    fn all_between(&self, pixels: &Lane, n: usize) -> ([u32; LANES], [u32; LANES], Lane) {
+        let (mut first, mut next, mut along) = ([0; LANES], [0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            (first[i], next[i], along[i]) = self.between(pixels[i], n);
+        }
+        (first, next, along)
     }
 }
 

@@ -23,7 +23,8 @@ const STEP_PX: usize = 2;
 #[derive(Clone, Debug)]
 pub struct IndirectLight {
     cells: CellGrid,
-    arriving: Vec<Vector3<f32>>,
+    /// With a fourth number, 0, so that one is one vector register.
+    arriving: Vec<[f32; 4]>,
 }
 
 impl IndirectLight {
@@ -43,8 +44,9 @@ impl IndirectLight {
                 }))
             })
             .collect();
+        let arriving = cells.filled(&arriving).into_iter();
         IndirectLight {
-            arriving: cells.filled(&arriving),
+            arriving: arriving.map(|light| light.push(0.0).into()).collect(),
             cells,
         }
     }
@@ -56,15 +58,19 @@ impl IndirectLight {
         let (cells, shares) = self.cells.around(u, v);
         let strength = white.strength() as f32;
         let mut sums = [[0.0; LANES]; 3];
-        for (cells, shares) in cells.iter().zip(&shares) {
-            for i in 0..LANES {
+        for i in 0..LANES {
+            let mut sum = [0.0; 4];
+            for (cells, shares) in cells.iter().zip(&shares) {
                 let arriving = &self.arriving[cells[i] as usize];
-                for axis in 0..3 {
-                    sums[axis][i] += arriving[axis] * shares[i];
+                for (sum, arriving) in sum.iter_mut().zip(arriving) {
+                    *sum += arriving * shares[i];
                 }
             }
+            for (sums, sum) in sums.iter_mut().zip(sum) {
+                sums[i] = sum * strength;
+            }
         }
-        sums.map(|sum| sum.map(|x| x * strength))
+        sums
     }
 }
 
