@@ -8,6 +8,7 @@
 
 use super::clusters::Clusters;
 use super::expansion::Labelling;
+use super::median_albedo::medians;
 use super::mixture::{CORRELATED, Mixture};
 use super::observations::Observations;
 use super::sites::Sites;
@@ -70,13 +71,11 @@ const MIN_LOG_SIGMA: f64 = 0.06;
 /// Groups whose logarithms of albedo differ by less are one: what changes slowly by less is told as tints. A facet keeps its tint
 /// while that of its group changes by less.
 const SAME_GROUP: f64 = 0.1;
+/// Parts of an object meet where neighbouring facets are folded towards one another by more, 45°: of `pot-k1`'s labels 96.0, 96.5, 96.6 and
+/// 95.9 % are pure with cosines of 0.9, 0.8, 0.7 and 0.5.
+const MAX_FOLD_COSINE: f64 = 0.7;
 /// Cost of each neighbour in another group, in units of an independent negative log likelihood: V of Eq. (4).
 const POTTS: f64 = 1.5;
-
-/// A facet that many views see tells twice what one does that so many see, and one that `FULLY_TOLD` see counts as one: facets of
-/// `pot-k1` are seen by four as a rule, those of a Kinect II's scan by ten or more.
-const HALF_TOLD: f64 = 6.0;
-const FULLY_TOLD: f64 = 14.0;
 
 /// Which groups are looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,13 +91,13 @@ impl Albedo {
     /// is seen.
     pub fn estimate(
         sites: &Sites,
-        neighbours: &[[u32; 3]],
+        all_neighbours: &[[u32; 3]],
         observations: &Observations,
         groups: Groups,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
         let ratios = ratios(sites, observations, current);
-        let (n_groups, costs, pair_cost) = match groups.mode {
+        let (n_groups, costs, neighbours, pair_cost) = match groups.mode {
             AlbedoMode::Mixture => {
                 let own = medians(sites, observations);
                 let logs: Vec<f64> = own.iter().map(|median| median.log).collect();
@@ -110,8 +109,9 @@ impl Albedo {
                     _ => 0.0,
                 };
                 let costs = costs(own.len(), mixture.len(), cost);
+                let neighbours = within_parts(sites, all_neighbours);
                 // So many facets in the shade of a leaf tell what one of them does.
-                (mixture.len(), costs, POTTS * CORRELATED)
+                (mixture.len(), costs, neighbours, POTTS * CORRELATED)
             }
             AlbedoMode::Paper => {
                 let own: Vec<f64> = ratios
@@ -121,13 +121,13 @@ impl Albedo {
                 let clusters = Clusters::fit(&sites.points, &own, groups.at_most)?;
                 let cost = |face, group| clusters.cost(face, group);
                 let costs = costs(own.len(), clusters.len(), cost);
-                (clusters.len(), costs, POTTS)
+                (clusters.len(), costs, all_neighbours.to_vec(), POTTS)
             }
         };
         let labelling = Labelling {
             costs: &costs,
             n_labels: n_groups,
-            neighbours,
+            neighbours: &neighbours,
             pair_cost,
         };
         let albedo = Self::of_labels(labelling.solve(), n_groups, &ratios);
@@ -136,7 +136,7 @@ impl Albedo {
                 at_most: n_groups - 1,
                 ..groups
             };
-            return Self::estimate(sites, neighbours, observations, fewer, current);
+            return Self::estimate(sites, all_neighbours, observations, fewer, current);
         }
         Some(match current {
             Some((before, _)) => {
@@ -323,53 +323,24 @@ fn ratios(
         .collect()
 }
 
-/// A facet's own albedo by the views that see it, of which less than half may err: a leaf's shade or a rim that the base surface has
-/// elsewhere is not in all of them. Unlike the robust ratio it does not depend on the group that the facet is in.
-#[derive(Clone, Copy, Debug)]
-struct Median {
-    /// Its logarithm; NaN where no view tells.
-    log: f64,
-    /// Views that tell as much, `(Σ s²)² / Σ s⁴`.
-    n_views: f64,
-}
-
-impl Median {
-    /// Of pairs of what is observed and predicted for albedo 1, weighted by the latter's square as in Eq. (2).
-    fn of(pairs: impl Iterator<Item = (f64, f64)>) -> Median {
-        let mut ratios: Vec<Ratio> = pairs.map(|(observed, s)| (observed / s, s * s)).collect();
-        ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (sum, squares) = ratios.iter().fold((0.0, 0.0), |(sum, squares), (_, w)| {
-            (sum + w, squares + w * w)
-        });
-        let mut below = 0.0;
-        let median = ratios.iter().find(|(_, weight)| {
-            below += weight;
-            2.0 * below >= sum
-        });
-        Median {
-            log: median.map_or(f64::NAN, |(ratio, _)| ratio.ln()),
-            n_views: sum * sum / squares,
-        }
-    }
-
-    /// How much it counts in the choice of a group: what a view gets wrong does not go down with the facets that it shows.
-    fn weight(&self) -> f64 {
-        (1.0 + HALF_TOLD / FULLY_TOLD) * self.n_views / (self.n_views + HALF_TOLD)
-    }
-}
-
-/// The median of each facet.
-fn medians(sites: &Sites, observations: &Observations) -> Vec<Median> {
-    let faces = (0..sites.points.len()).into_par_iter();
-    let pairs = |face: usize| {
-        let normal = &sites.normals[face];
-        let all = observations.of(face).iter();
-        all.filter_map(move |seen| {
-            let s = seen.unit_prediction(normal)?;
-            Some((f64::from(seen.observed), s))
+/// The neighbours of each facet but for those across a concave fold: there parts meet (Hoffman and Richards 1984), which may well be of
+/// two materials.
+fn within_parts(sites: &Sites, neighbours: &[[u32; 3]]) -> Vec<[u32; 3]> {
+    let of_face = |(face, others): (usize, &[u32; 3])| {
+        others.map(|other| match other {
+            u32::MAX => other,
+            _ if is_fold(sites, face, other as usize) => u32::MAX,
+            _ => other,
         })
     };
-    faces.map(|face| Median::of(pairs(face))).collect()
+    neighbours.par_iter().enumerate().map(of_face).collect()
+}
+
+/// Whether two facets meet in a concave fold.
+fn is_fold(sites: &Sites, face: usize, other: usize) -> bool {
+    let [normal, beyond] = [face, other].map(|face| &sites.normals[face]);
+    let along = sites.points[other] - sites.points[face];
+    (beyond - normal).dot(&along) < 0.0 && normal.dot(beyond) < MAX_FOLD_COSINE
 }
 
 /// The faces across the sides of each face; `u32::MAX` on a border. `sides` gives each face's edges.
@@ -411,27 +382,6 @@ mod tests {
         assert!(!has_twins([0.15, 0.21]));
         // A group that no facet belongs to has the albedo of all.
         assert!(Albedo::of_labels(vec![0, 0], 2, &[(0.3, 2.0); 2]).has_twins());
-    }
-
-    #[test]
-    fn shade_in_two_views_of_five_does_not_make_a_facet_darker() {
-        let lit = |s: f64| (0.4 * s, s);
-        let shaded = |s: f64| (0.1 * s, s);
-        let views = [lit(0.8), shaded(0.9), lit(1.0), lit(0.7), shaded(0.6)];
-        let median = Median::of(views.into_iter());
-        assert!((median.log - 0.4f64.ln()).abs() < 1e-12);
-        assert!((4.0..5.0).contains(&median.n_views), "{median:?}");
-        // What is seen aslant hardly counts.
-        let aslant = Median::of([lit(1.0), shaded(0.1), shaded(0.1), shaded(0.1)].into_iter());
-        assert!((aslant.log - 0.4f64.ln()).abs() < 1e-12);
-        assert!((1.0..1.1).contains(&aslant.n_views), "{aslant:?}");
-        assert!(aslant.weight() < 0.5 * median.weight());
-        let seen_by_all = Median {
-            n_views: FULLY_TOLD,
-            ..median
-        };
-        assert!((seen_by_all.weight() - 1.0).abs() < 1e-12);
-        assert!(Median::of(std::iter::empty()).log.is_nan());
     }
 
     #[test]

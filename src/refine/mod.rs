@@ -28,6 +28,7 @@ mod guard_tests;
 mod held_out;
 mod level;
 mod max_flow;
+mod median_albedo;
 mod mixture;
 mod numeric;
 mod object;

@@ -1,0 +1,86 @@
+//! What albedo a facet has by itself, whatever group it is in: the median of the views that see it, and how much that says.
+
+use super::observations::Observations;
+use super::sites::Sites;
+use rayon::prelude::*;
+
+/// A facet that many views see tells twice what one does that so many see, and one that `FULLY_TOLD` see counts as one: facets of
+/// `pot-k1` are seen by four as a rule, those of a Kinect II's scan by ten or more.
+const HALF_TOLD: f64 = 6.0;
+const FULLY_TOLD: f64 = 14.0;
+
+/// A facet's own albedo by the views that see it, of which less than half may err: a leaf's shade or a rim that the base surface has
+/// elsewhere is not in all of them. Unlike the robust ratio it does not depend on the group that the facet is in.
+#[derive(Clone, Copy, Debug)]
+pub struct Median {
+    /// Its logarithm; NaN where no view tells.
+    pub log: f64,
+    /// Views that tell as much, `(Σ s²)² / Σ s⁴`.
+    n_views: f64,
+}
+
+impl Median {
+    /// Of pairs of what is observed and predicted for albedo 1, weighted by the latter's square as in Eq. (2).
+    fn of(pairs: impl Iterator<Item = (f64, f64)>) -> Median {
+        let mut ratios: Vec<(f64, f64)> =
+            pairs.map(|(observed, s)| (observed / s, s * s)).collect();
+        ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (sum, squares) = ratios.iter().fold((0.0, 0.0), |(sum, squares), (_, w)| {
+            (sum + w, squares + w * w)
+        });
+        let mut below = 0.0;
+        let median = ratios.iter().find(|(_, weight)| {
+            below += weight;
+            2.0 * below >= sum
+        });
+        Median {
+            log: median.map_or(f64::NAN, |(ratio, _)| ratio.ln()),
+            n_views: sum * sum / squares,
+        }
+    }
+
+    /// How much it counts in the choice of a group: what a view gets wrong does not go down with the facets that it shows.
+    pub fn weight(&self) -> f64 {
+        (1.0 + HALF_TOLD / FULLY_TOLD) * self.n_views / (self.n_views + HALF_TOLD)
+    }
+}
+
+/// The median of each facet.
+pub fn medians(sites: &Sites, observations: &Observations) -> Vec<Median> {
+    let faces = (0..sites.points.len()).into_par_iter();
+    let pairs = |face: usize| {
+        let normal = &sites.normals[face];
+        let all = observations.of(face).iter();
+        all.filter_map(move |seen| {
+            let s = seen.unit_prediction(normal)?;
+            Some((f64::from(seen.observed), s))
+        })
+    };
+    faces.map(|face| Median::of(pairs(face))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shade_in_two_views_of_five_does_not_make_a_facet_darker() {
+        let lit = |s: f64| (0.4 * s, s);
+        let shaded = |s: f64| (0.1 * s, s);
+        let views = [lit(0.8), shaded(0.9), lit(1.0), lit(0.7), shaded(0.6)];
+        let median = Median::of(views.into_iter());
+        assert!((median.log - 0.4f64.ln()).abs() < 1e-12);
+        assert!((4.0..5.0).contains(&median.n_views), "{median:?}");
+        // What is seen aslant hardly counts.
+        let aslant = Median::of([lit(1.0), shaded(0.1), shaded(0.1), shaded(0.1)].into_iter());
+        assert!((aslant.log - 0.4f64.ln()).abs() < 1e-12);
+        assert!((1.0..1.1).contains(&aslant.n_views), "{aslant:?}");
+        assert!(aslant.weight() < 0.5 * median.weight());
+        let seen_by_all = Median {
+            n_views: FULLY_TOLD,
+            ..median
+        };
+        assert!((seen_by_all.weight() - 1.0).abs() < 1e-12);
+        assert!(Median::of(std::iter::empty()).log.is_nan());
+    }
+}
