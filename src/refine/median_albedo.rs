@@ -1,5 +1,6 @@
 //! What albedo a facet has by itself, whatever group it is in: the median of the views that see it, and how much that says.
 
+use super::MAX_VIEWS;
 use super::observations::Observations;
 use super::sites::Sites;
 use rayon::prelude::*;
@@ -20,11 +21,16 @@ pub struct Median {
 }
 
 impl Median {
-    /// Of pairs of what is observed and predicted for albedo 1, weighted by the latter's square as in Eq. (2).
+    /// Of pairs of what is observed and predicted for albedo 1, one a view, weighted by the latter's square as in Eq. (2).
     fn of(pairs: impl Iterator<Item = (f64, f64)>) -> Median {
-        let mut ratios: Vec<(f64, f64)> =
-            pairs.map(|(observed, s)| (observed / s, s * s)).collect();
-        ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut ratios = [(0.0, 0.0); MAX_VIEWS];
+        let mut n_told = 0;
+        for ((observed, s), ratio) in pairs.zip(&mut ratios) {
+            *ratio = (observed / s, s * s);
+            n_told += 1;
+        }
+        let ratios = &mut ratios[..n_told];
+        ratios.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         let (sum, squares) = ratios.iter().fold((0.0, 0.0), |(sum, squares), (_, w)| {
             (sum + w, squares + w * w)
         });
