@@ -15,6 +15,7 @@ use super::sites::Sites;
 use super::tint::tints;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -329,17 +330,24 @@ fn within_parts(sites: &Sites, neighbours: &[[u32; 3]]) -> Vec<[u32; 3]> {
     let of_face = |(face, others): (usize, &[u32; 3])| {
         others.map(|other| match other {
             u32::MAX => other,
-            _ if is_fold(sites, face, other as usize) => u32::MAX,
-            _ => other,
+            _ => {
+                let both = [face, other as usize];
+                let places = both.map(|face| &sites.points[face]);
+                let normals = both.map(|face| &sites.normals[face]);
+                match is_fold(places, normals) {
+                    true => u32::MAX,
+                    false => other,
+                }
+            }
         })
     };
     neighbours.par_iter().enumerate().map(of_face).collect()
 }
 
-/// Whether two facets meet in a concave fold.
-fn is_fold(sites: &Sites, face: usize, other: usize) -> bool {
-    let [normal, beyond] = [face, other].map(|face| &sites.normals[face]);
-    let along = sites.points[other] - sites.points[face];
+/// Whether two facets, given by their centroids and normals, meet in a concave fold.
+fn is_fold(places: [&Point3<f64>; 2], normals: [&Vector3<f64>; 2]) -> bool {
+    let [normal, beyond] = normals;
+    let along = places[1] - places[0];
     (beyond - normal).dot(&along) < 0.0 && normal.dot(beyond) < MAX_FOLD_COSINE
 }
 
@@ -382,6 +390,25 @@ mod tests {
         assert!(!has_twins([0.15, 0.21]));
         // A group that no facet belongs to has the albedo of all.
         assert!(Albedo::of_labels(vec![0, 0], 2, &[(0.3, 2.0); 2]).has_twins());
+    }
+
+    #[test]
+    fn parts_meet_in_concave_folds_and_not_at_convex_edges() {
+        let floor = (Point3::new(-0.01, 0.0, 0.0), Vector3::z());
+        let rising = |slope_deg: f64| {
+            let (sin, cos) = slope_deg.to_radians().sin_cos();
+            let place = Point3::new(0.01 * cos, 0.0, 0.01 * sin);
+            (place, Vector3::new(-sin, 0.0, cos))
+        };
+        let is_fold = |slope_deg: f64| {
+            let wall = rising(slope_deg);
+            let one_way = is_fold([&floor.0, &wall.0], [&floor.1, &wall.1]);
+            let other_way = is_fold([&wall.0, &floor.0], [&wall.1, &floor.1]);
+            assert_eq!(one_way, other_way);
+            one_way
+        };
+        assert!(is_fold(90.0) && is_fold(50.0));
+        assert!(!is_fold(30.0) && !is_fold(0.0) && !is_fold(-50.0) && !is_fold(-90.0));
     }
 
     #[test]
