@@ -10,6 +10,8 @@ pub type Mask = [u64; SLABS];
 
 /// The bits with x = 0.
 const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
+/// The bits with x = 0 where bit 0 of the index is set, and with y = 0 where bit 1 is.
+pub const LAYERS: [u64; 4] = [!0, FIRST_COLUMN, 0xFF, 1];
 /// No block.
 pub const NONE: u32 = u32::MAX;
 
@@ -112,6 +114,17 @@ fn plane(around: &[&Mask; 8], z: usize) -> Plane {
 /// A mask of nothing.
 const NOTHING: Mask = [0; SLABS];
 
+/// Masks of a block and of those above it; nothing where there is none.
+#[inline(always)]
+fn upwards<'a>(
+    voxels: &'a [Voxels],
+    neighbours: &Neighbours,
+    mask: impl Fn(&'a Voxels) -> &'a Mask,
+) -> [&'a Mask; 8] {
+    let of = |block: u32| voxels.get(block as usize).map_or(&NOTHING, &mask);
+    neighbours.up.map(of)
+}
+
 /// Which corners of a block's cubes lie inside.
 pub struct Corners([Plane; SLABS + 1]);
 
@@ -119,12 +132,7 @@ impl Corners {
     /// The corners of the cubes of a block, given what the voxels of all blocks are.
     #[inline(always)]
     pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
-        let mut around = [&NOTHING; 8];
-        for (mask, &block) in around.iter_mut().zip(&neighbours.up) {
-            if let Some(voxels) = voxels.get(block as usize) {
-                *mask = &voxels.inside;
-            }
-        }
+        let around = upwards(voxels, neighbours, |voxels| &voxels.inside);
         let mut planes = [[0; 4]; SLABS + 1];
         for (z, out) in planes.iter_mut().enumerate() {
             *out = plane(&around, z);
@@ -145,25 +153,18 @@ impl Corners {
     }
 }
 
-/// Cubes of a block, each at the bit of its lowest voxel.
+/// Cubes of a block of which all eight voxels were seen and that the surface crosses, each at the bit of its lowest voxel.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Cubes {
-    /// Cubes of which all eight voxels were seen and that the surface crosses.
-    pub crossed: Mask,
-    /// Edges that the surface crosses, by axis, each at the bit of its lower voxel, whether a cube uses them or not.
-    pub crossings: [Mask; 3],
-}
+pub struct Cubes(pub Mask);
 
 impl Cubes {
     /// The cubes of a block, given what the voxels of all blocks are.
     #[inline(always)]
     pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
-        let (mut seen, mut inside) = ([&NOTHING; 8], [&NOTHING; 8]);
-        for side in 0..8 {
-            if let Some(voxels) = voxels.get(neighbours.up[side] as usize) {
-                (seen[side], inside[side]) = (&voxels.seen, &voxels.inside);
-            }
-        }
+        let (seen, inside) = (
+            upwards(voxels, neighbours, |voxels| &voxels.seen),
+            upwards(voxels, neighbours, |voxels| &voxels.inside),
+        );
         let mut cubes = Cubes::default();
         let all = |[a, b, c, d]: Plane| a & b & c & d;
         let any = |[a, b, c, d]: Plane| a | b | c | d;
@@ -172,10 +173,7 @@ impl Cubes {
             let (seen_above, inside_above) = (plane(&seen, z + 1), plane(&inside, z + 1));
             let any_inside = any(inside_below) | any(inside_above);
             let all_inside = all(inside_below) & all(inside_above);
-            cubes.crossed[z] = all(seen_below) & all(seen_above) & any_inside & !all_inside;
-            cubes.crossings[0][z] = inside_below[0] ^ inside_below[1];
-            cubes.crossings[1][z] = inside_below[0] ^ inside_below[2];
-            cubes.crossings[2][z] = inside_below[0] ^ inside_above[0];
+            cubes.0[z] = all(seen_below) & all(seen_above) & any_inside & !all_inside;
             (seen_below, inside_below) = (seen_above, inside_above);
         }
         cubes
@@ -184,25 +182,26 @@ impl Cubes {
     /// Whether the surface passes through the block.
     #[inline(always)]
     pub fn any_crossed(&self) -> bool {
-        self.crossed.iter().any(|&word| word != 0)
+        self.0.iter().any(|&word| word != 0)
     }
 }
 
 /// The crossed edges of a block that some cube uses, by axis, each at the bit of its lower voxel. A cube with a crossed edge
 /// is crossed itself.
 #[inline(always)]
-pub fn used_edges(around: &[(Neighbours, Cubes)], neighbours: &Neighbours) -> [Mask; 3] {
-    let at = |block: u32| around.get(block as usize).map(|(_, cubes)| cubes);
+pub fn used_edges(voxels: &[Voxels], around: &[(Neighbours, Cubes)], block: usize) -> [Mask; 3] {
+    let (neighbours, _) = &around[block];
     let mut crossed = [&NOTHING; 8];
-    for (mask, &block) in crossed.iter_mut().zip(&neighbours.down) {
-        if let Some(cubes) = at(block) {
-            *mask = &cubes.crossed;
+    for (mask, &below) in crossed.iter_mut().zip(&neighbours.down) {
+        if let Some((_, cubes)) = around.get(below as usize) {
+            *mask = &cubes.0;
         }
     }
-    let Some(own) = at(neighbours.down[0]) else {
-        return [NOTHING; 3];
-    };
-    let mut edges = own.crossings;
+    let mut edges = [NOTHING; 3];
+    if crossed.iter().all(|mask| **mask == NOTHING) {
+        return edges;
+    }
+    let inside = upwards(voxels, neighbours, |voxels| &voxels.inside);
     for z in 0..SLABS {
         // Slab z of the block, and the one below it, which may belong to the blocks below.
         let same = |side: usize| crossed[side][z];
@@ -215,10 +214,13 @@ pub fn used_edges(around: &[(Neighbours, Cubes)], neighbours: &Neighbours) -> [M
         let back_y = |own: u64, previous: u64| own << 8 | previous >> 56;
         let with_back_x = |own: u64, previous: u64| own | back_x(own, previous);
         let with_back_y = |own: u64, previous: u64| own | back_y(own, previous);
-        edges[0][z] &= with_back_y(same(0), same(2)) | with_back_y(below(0), below(2));
-        edges[1][z] &= with_back_x(same(0), same(1)) | with_back_x(below(0), below(1));
+        let (here, above) = (plane(&inside, z), plane(&inside, z + 1));
+        edges[0][z] =
+            (here[0] ^ here[1]) & (with_back_y(same(0), same(2)) | with_back_y(below(0), below(2)));
+        edges[1][z] =
+            (here[0] ^ here[2]) & (with_back_x(same(0), same(1)) | with_back_x(below(0), below(1)));
         let (row, previous_row) = (with_back_x(same(0), same(1)), with_back_x(same(2), same(3)));
-        edges[2][z] &= with_back_y(row, previous_row);
+        edges[2][z] = (here[0] ^ above[0]) & with_back_y(row, previous_row);
     }
     edges
 }

@@ -3,6 +3,7 @@
 //! They are not looked up but traced: crossings are joined along the cube's faces, always round the inside corners, into
 //! loops, and loops cut into fans. Two cubes see their common face alike, so that the mesh has no cracks.
 
+use super::block::BLOCK_SIDE;
 use std::sync::LazyLock;
 
 /// Most triangles that a cube has: a ring of seven edges is cut into so many, and so are rings of six and three together.
@@ -53,6 +54,37 @@ pub const EDGE_CORNERS: [(u8, u8); 12] = {
     }
     corners
 };
+
+/// Slots along a side: of a block's voxels and of the layer above it.
+const REACH: usize = BLOCK_SIDE as usize + 1;
+/// Slots of all edges that a block's cubes have.
+pub const N_SLOTS: usize = 3 * REACH * REACH * REACH;
+
+/// A number for the edge that runs along `axis` from a voxel of a block or of the layer above it. It is the sum of the voxel's and of
+/// the axis', so that those of a cube's edges lie [`EDGE_SLOTS`] beyond that of its lowest voxel.
+#[inline(always)]
+pub const fn slot(axis: usize, [x, y, z]: [usize; 3]) -> usize {
+    x + REACH * (y + REACH * (z + REACH * axis))
+}
+
+/// How far beyond its lowest voxel's slot along the first axis those of a cube's edges lie.
+pub const EDGE_SLOTS: [u16; 12] = {
+    let mut slots = [0; 12];
+    let mut edge = 0;
+    while edge < 12 {
+        let low = corner_place(EDGE_CORNERS[edge].0);
+        slots[edge] = slot(edge / 4, low) as u16;
+        edge += 1;
+    }
+    slots
+};
+
+/// Where a corner of a cube lies, in voxels from its lowest.
+#[inline(always)]
+pub const fn corner_place(corner: u8) -> [usize; 3] {
+    let corner = corner as usize;
+    [corner & 1, corner >> 1 & 1, corner >> 2]
+}
 
 /// Corners of edge `e` of a cube; corner `c` lies at (c & 1, c >> 1 & 1, c >> 2). Edge 4a + b runs along axis a.
 const fn edge_corners(edge: u8) -> (u8, u8) {

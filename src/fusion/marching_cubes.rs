@@ -5,8 +5,10 @@
 //! Blocks are worked on in parallel, and their parts put together in the order of allocation.
 
 use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BlockCoord, voxel_index};
-use super::block_masks::{Corners, Cubes, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges};
-use super::cube_cases::{EDGE_CORNERS, cases};
+use super::block_masks::{
+    Corners, Cubes, LAYERS, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges,
+};
+use super::cube_cases::{EDGE_CORNERS, EDGE_SLOTS, N_SLOTS, cases, corner_place, slot};
 use super::each_block::{OfBlock, Reading, TASK_BLOCKS, each};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
@@ -73,11 +75,25 @@ struct Surface {
 }
 
 impl Surface {
-    /// Number of the vertex on an edge that has one.
+    /// Writes the numbers of the block's vertices to the slots that their edges have for a block below it, whose neighbour on `side`
+    /// this one is: only those where that block's cubes reach it.
     #[inline(always)]
-    fn vertex(&self, axis: usize, slab: usize, bit: usize) -> u32 {
-        let lower = self.edges[axis][slab] & ((1 << bit) - 1);
-        self.first_vertex + u32::from(self.before[axis][slab]) + lower.count_ones()
+    fn number(&self, side: usize, numbers: &mut [u32; N_SLOTS]) {
+        let beyond = |axis: usize| side >> axis & 1;
+        let first = [0, 1, 2].map(|axis| beyond(axis) * BLOCK_SIDE as usize);
+        let reached = LAYERS[side & 3];
+        let n_slabs = if beyond(2) == 1 { 1 } else { SLABS };
+        for axis in (0..3).filter(|&axis| beyond(axis) == 0) {
+            for z in 0..n_slabs {
+                let word = self.edges[axis][z];
+                let before = self.first_vertex + u32::from(self.before[axis][z]);
+                for bit in bits(word & reached) {
+                    let place = [first[0] + (bit & 7), first[1] + (bit >> 3), first[2] + z];
+                    let lower = word & ((1 << bit) - 1);
+                    numbers[slot(axis, place)] = before + lower.count_ones();
+                }
+            }
+        }
     }
 }
 
@@ -111,7 +127,7 @@ impl OfBlock for Grid<'_> {
     #[inline(always)]
     fn of(&self, block: usize) -> Surface {
         let (neighbours, cubes) = &self.around[block];
-        let edges = used_edges(self.around, neighbours);
+        let edges = used_edges(self.voxels, self.around, block);
         let mut surface = Surface {
             edges,
             ..Surface::default()
@@ -123,7 +139,7 @@ impl OfBlock for Grid<'_> {
         }
         if cubes.any_crossed() {
             let (corners, cases) = (Corners::of(self.voxels, neighbours), cases());
-            for (z, &word) in cubes.crossed.iter().enumerate() {
+            for (z, &word) in cubes.0.iter().enumerate() {
                 for bit in bits(word) {
                     surface.n_faces += cases[corners.pattern(z, bit)].n_triangles() as u32;
                 }
@@ -180,66 +196,76 @@ impl WithSimd for Writing<'_> {
     fn with_simd<S: Simd>(mut self, _: S) {
         let (vertices, faces) = std::mem::take(&mut self.part);
         let (mut vertices, mut faces) = (vertices.iter_mut(), faces.iter_mut());
+        let mut numbers = [0; N_SLOTS];
         for block in self.first..(self.first + TASK_BLOCKS).min(self.surfaces.len()) {
-            self.place(block, &mut vertices);
-            self.connect(block, &mut faces);
+            self.place(block, &mut numbers, &mut vertices);
+            self.connect(block, &mut numbers, &mut faces);
         }
     }
 }
 
 impl Writing<'_> {
-    /// Places a block's vertices where the distance is zero on their edges.
+    /// Places a block's vertices where the distance is zero on their edges, and writes their numbers to the edges' slots.
     #[inline(always)]
-    fn place(&self, block: usize, out: &mut std::slice::IterMut<'_, Point3<f64>>) {
+    fn place(
+        &self,
+        block: usize,
+        numbers: &mut [u32; N_SLOTS],
+        out: &mut std::slice::IterMut<'_, Point3<f64>>,
+    ) {
         let volume = self.grid.volume;
         let (coord, (around, _)) = (volume.coords()[block], &self.grid.around[block]);
-        for (axis, mask) in self.surfaces[block].edges.iter().enumerate() {
+        let surface = &self.surfaces[block];
+        let mut number = surface.first_vertex;
+        for (axis, mask) in surface.edges.iter().enumerate() {
             for (z, &word) in mask.iter().enumerate() {
                 for (bit, out) in bits(word).zip(&mut *out) {
                     let low = [bit & 7, bit >> 3, z];
                     *out = place_on_edge(volume, coord, around, axis, low);
+                    numbers[slot(axis, low)] = number;
+                    number += 1;
                 }
             }
         }
     }
 
-    /// Joins the vertices on the edges of a block's cubes to faces.
+    /// Joins the vertices on the edges of a block's cubes to faces. `numbers` holds those of the block; what it holds of blocks before is
+    /// not read.
     #[inline(always)]
-    fn connect(&self, block: usize, out: &mut std::slice::IterMut<'_, [u32; 3]>) {
+    fn connect(
+        &self,
+        block: usize,
+        numbers: &mut [u32; N_SLOTS],
+        out: &mut std::slice::IterMut<'_, [u32; 3]>,
+    ) {
         let (around, cubes) = &self.grid.around[block];
         if !cubes.any_crossed() {
             return;
         }
+        for (side, &above) in around.up.iter().enumerate().skip(1) {
+            if let Some(surface) = self.surfaces.get(above as usize) {
+                surface.number(side, numbers);
+            }
+        }
         let (corners, cases) = (Corners::of(self.grid.voxels, around), cases());
-        for (z, &word) in cubes.crossed.iter().enumerate() {
+        for (z, &word) in cubes.0.iter().enumerate() {
             for bit in bits(word) {
-                let low = [bit & 7, bit >> 3, z];
+                let lowest = slot(0, [bit & 7, bit >> 3, z]);
+                let number = |edge: u8| numbers[lowest + EDGE_SLOTS[edge as usize] as usize];
                 let triangles = cases[corners.pattern(z, bit)].triangles();
-                for (&[a, b, c], out) in triangles.iter().zip(&mut *out) {
-                    *out = [
-                        self.vertex(around, low, a),
-                        self.vertex(around, low, b),
-                        self.vertex(around, low, c),
-                    ];
+                for (triangle, out) in triangles.iter().zip(&mut *out) {
+                    *out = triangle.map(number);
                 }
             }
         }
-    }
-
-    /// Number of the vertex on an edge of the cube whose lowest voxel is `low` of a block.
-    #[inline(always)]
-    fn vertex(&self, around: &Neighbours, low: [usize; 3], edge: u8) -> u32 {
-        let [x, y, z] = edge_low(low, edge);
-        let block = around.up[side_of([x, y, z])] as usize;
-        self.surfaces[block].vertex(edge as usize / 4, z & 7, x & 7 | (y & 7) << 3)
     }
 }
 
 /// The lower voxel of an edge of the cube whose lowest voxel is `low` of a block: of that block or of the layer above it.
 #[inline(always)]
 pub fn edge_low([x, y, z]: [usize; 3], edge: u8) -> [usize; 3] {
-    let corner = EDGE_CORNERS[edge as usize].0 as usize;
-    [x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)]
+    let [dx, dy, dz] = corner_place(EDGE_CORNERS[edge as usize].0);
+    [x + dx, y + dy, z + dz]
 }
 
 /// Which of the blocks upwards a voxel of a block or of the layer above it belongs to: see [`Neighbours`].
@@ -258,19 +284,18 @@ pub fn place_on_edge(
     axis: usize,
     low: [usize; 3],
 ) -> Point3<f64> {
-    let mut high = low;
-    high[axis] += 1;
+    // No place in memory that `axis` would choose: it is known late.
+    let high = [0, 1, 2].map(|k| low[k] + usize::from(k == axis));
     let (a, b) = (
         distance(volume, around, low),
         distance(volume, around, high),
     );
-    let mut place = [0.0; 3];
-    for k in 0..3 {
-        place[k] = f64::from(coord[k] * BLOCK_SIDE + low[k] as i32);
-    }
-    place[axis] += a / (a - b);
-    let voxel = f64::from(volume.voxel_size_m());
-    Point3::new(place[0] * voxel, place[1] * voxel, place[2] * voxel)
+    let (along, voxel) = (a / (a - b), f64::from(volume.voxel_size_m()));
+    let place = [0, 1, 2].map(|k| {
+        let low = f64::from(coord[k] * BLOCK_SIDE + low[k] as i32);
+        (low + if k == axis { along } else { 0.0 }) * voxel
+    });
+    Point3::from(place)
 }
 
 /// The raw distance of a voxel of a block or of the layer above it.

@@ -5,7 +5,7 @@
 
 use super::block::{BLOCK_SIDE, BlockCoord};
 use super::block_masks::{Corners, Cubes, Neighbours, Voxels, bits};
-use super::cube_cases::cases;
+use super::cube_cases::{EDGE_SLOTS, N_SLOTS, cases, slot};
 use super::marching_cubes::{edge_low, place_on_edge};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
@@ -49,10 +49,6 @@ fn is_on_rim(axis: usize, low: [usize; 3]) -> bool {
     (0..3).any(|k| k != axis && (low[k] == 0 || low[k] == side))
 }
 
-/// Voxels along a side that a block's cubes reach, and edges that begin at these.
-const REACH: usize = BLOCK_SIDE as usize + 1;
-const N_EDGES: usize = 3 * REACH * REACH * REACH;
-
 /// No vertex on an edge yet.
 const UNPLACED: u16 = u16::MAX;
 
@@ -85,7 +81,7 @@ struct Extraction<'a> {
     volume: &'a TsdfVolume,
     voxels: &'a [Voxels],
     /// The patch's vertex on each edge, [`UNPLACED`] between two patches.
-    vertex_of: [u16; N_EDGES],
+    vertex_of: [u16; N_SLOTS],
     /// The edges that have one.
     placed: Vec<u16>,
 }
@@ -95,7 +91,7 @@ impl<'a> Extraction<'a> {
         Extraction {
             volume,
             voxels,
-            vertex_of: [UNPLACED; N_EDGES],
+            vertex_of: [UNPLACED; N_SLOTS],
             placed: Vec::new(),
         }
     }
@@ -121,18 +117,18 @@ impl<'a> Extraction<'a> {
             return;
         }
         let (corners, cases) = (Corners::of(self.voxels, around), cases());
-        for (z, &word) in cubes.crossed.iter().enumerate() {
+        for (z, &word) in cubes.0.iter().enumerate() {
             for bit in bits(word) {
                 let low = [bit & 7, bit >> 3, z];
                 for triangle in cases[corners.pattern(z, bit)].triangles() {
                     let mut face = [0; 3];
                     for (vertex, &edge) in face.iter_mut().zip(triangle) {
-                        let (axis, low) = (edge as usize / 4, edge_low(low, edge));
-                        let key = axis + 3 * (low[0] + REACH * (low[1] + REACH * low[2]));
-                        let known = &mut self.vertex_of[key];
+                        let slot = slot(0, low) + EDGE_SLOTS[edge as usize] as usize;
+                        let known = &mut self.vertex_of[slot];
                         if *known == UNPLACED {
+                            let (axis, low) = (edge as usize / 4, edge_low(low, edge));
                             *known = patch.vertices.len() as u16;
-                            self.placed.push(key as u16);
+                            self.placed.push(slot as u16);
                             if is_on_rim(axis, low) {
                                 let vertex = patch.vertices.len() as u32;
                                 rim.push((vertex, LatticeEdge::new(coord, axis, low)));
