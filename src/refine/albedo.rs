@@ -205,7 +205,7 @@ impl Albedo {
         let tints = vec![1.0; labels.len()];
         let by_face = by_face(&groups, &labels, &tints);
         let mut offsets: Vec<f64> = ratios
-            .iter()
+            .par_iter()
             .zip(&by_face)
             .map(|(ratio, albedo): (&Ratio, &f64)| log_albedo(*ratio) - albedo.ln())
             .filter(|offset| offset.is_finite())

@@ -122,21 +122,17 @@ struct Histogram {
 impl Histogram {
     /// Counts between the first and the last percentile's neighbourhoods, which outliers cannot stretch.
     fn new(values: &[f64]) -> Option<Histogram> {
-        let mut sorted: Vec<f64> = values
-            .iter()
-            .copied()
-            .filter(|value| value.is_finite())
-            .collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let last = sorted.len().checked_sub(1)?;
-        let (low, high) = (sorted[last / 100] - 0.2, sorted[last - last / 100] + 0.2);
+        let finite = values.iter().copied().filter(|value| value.is_finite());
+        let mut values: Vec<f64> = finite.collect();
+        let last = values.len().checked_sub(1)?;
+        let mut ranked = |rank: usize| *values.select_nth_unstable_by(rank, f64::total_cmp).1;
+        let (low, high) = (ranked(last / 100) - 0.2, ranked(last - last / 100) + 0.2);
         let width = (high - low) / BINS as f64;
         let mut counts = vec![0.0; BINS];
-        for value in sorted
-            .into_iter()
-            .filter(|value| (low..high).contains(value))
-        {
-            counts[(((value - low) / width) as usize).min(BINS - 1)] += 1.0;
+        for value in values {
+            if (low..high).contains(&value) {
+                counts[(((value - low) / width) as usize).min(BINS - 1)] += 1.0;
+            }
         }
         Some(Histogram { low, width, counts })
     }

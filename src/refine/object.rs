@@ -101,20 +101,22 @@ fn measure_parts(
         .step_by(every)
         .map(Pose::inverse)
         .collect();
-    for (face, &label) in labels.iter().enumerate() {
+    let of_face = |face: usize| {
         let area_m2 = 0.5 * mesh.face_normal(face).norm();
         let centroid = mesh.centroid(face);
-        let attention: f64 = cameras
-            .iter()
-            .map(|camera_from_world| {
-                let point = camera_from_world * centroid;
-                let angle = point.x.hypot(point.y).atan2(point.z);
-                (-0.5 * (angle / ATTENTION_RAD).powi(2)).exp()
-            })
-            .sum();
+        let nearness = |camera_from_world: &Pose| {
+            let point = camera_from_world * centroid;
+            let angle = point.x.hypot(point.y).atan2(point.z);
+            (-0.5 * (angle / ATTENTION_RAD).powi(2)).exp()
+        };
+        let attention: f64 = cameras.iter().map(nearness).sum();
+        (area_m2, area_m2 * attention)
+    };
+    let of_faces: Vec<(f64, f64)> = (0..labels.len()).into_par_iter().map(of_face).collect();
+    for (&label, (area_m2, attention)) in labels.iter().zip(of_faces) {
         let part = &mut parts[label as usize];
         part.area_m2 += area_m2;
-        part.attention += area_m2 * attention;
+        part.attention += attention;
     }
     parts
 }

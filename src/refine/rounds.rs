@@ -200,7 +200,7 @@ impl Rounds<'_> {
 }
 
 /// Sites enough for the seven numbers of a view and its slow gains.
-const ALIGNMENT_SITES: usize = 8000;
+const ALIGNMENT_SITES: usize = 4000;
 
 /// About that many of the faces that a view sees, spread evenly over the list, and how many each stands for.
 fn sites_to_align_by(faces: Vec<u32>) -> (Vec<u32>, f64) {
