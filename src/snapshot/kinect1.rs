@@ -32,6 +32,8 @@ pub(super) struct ShadingSequence {
     pool: Pool,
     rejected: Rejections,
     guide: Guide,
+    /// How bright the lamp made a pose at most, counts at 1 m; 0 before the first. A lit room is not taken for it.
+    lamp_counts_at_1_m: f64,
     /// Whether the operator asked for the next group.
     is_requested: bool,
 }
@@ -41,6 +43,18 @@ struct Placed {
     device_time_secs: f64,
     world_from_camera: Pose,
     depth_m: Image<f32>,
+}
+
+impl Placed {
+    /// By which light falls off: the squared mean of the depths, m²; 1 where there are none.
+    fn squared_distance_m2(&self) -> f64 {
+        let measured = self.depth_m.data().iter().filter(|z| **z > 0.0);
+        let (sum, n) = measured.fold((0.0, 0usize), |(sum, n), &z| (sum + f64::from(z), n + 1));
+        match n {
+            0 => 1.0,
+            n => (sum / n as f64).powi(2),
+        }
+    }
 }
 
 impl ShadingSequence {
@@ -53,6 +67,7 @@ impl ShadingSequence {
             group: LampGroup::default(),
             rejected: Rejections::default(),
             guide: Guide::default(),
+            lamp_counts_at_1_m: 0.0,
             is_requested: false,
         }
     }
@@ -176,9 +191,12 @@ impl ShadingSequence {
             let refused = self.group.add(image(), max_exposures);
             self.rejected.extend(refused);
         }
-        let n_exposures = self.group.exposures().len();
+        let before = self.before.as_ref();
+        let distance_m2 = before.map_or(1.0, Placed::squared_distance_m2);
+        let lamp_counts = self.lamp_counts_at_1_m / distance_m2;
+        let n_lit = self.group.n_lit(lamp_counts);
         self.guide
-            .covered(texture, n_exposures, self.params.min_exposures);
+            .covered(texture, n_lit, self.params.min_exposures);
     }
 
     /// Says why the IR image of a frame with depth is none under the lamp.
@@ -210,6 +228,10 @@ impl ShadingSequence {
         match self.develop(&agreeing, world_from_after) {
             Ok(mut snapshot) => {
                 snapshot.unlit_counts = group.unlit_counts();
+                if let Some(before) = &self.before {
+                    let at_1_m = group.brightest() * before.squared_distance_m2();
+                    self.lamp_counts_at_1_m = self.lamp_counts_at_1_m.max(at_1_m);
+                }
                 let view = model.map_or_else(ViewInformation::default, |model| {
                     view_information(&snapshot, model, &self.optics)
                 });

@@ -7,6 +7,8 @@ use depth_camera::Image;
 
 /// An image less bright than this share of the brightest of its pose is not lit by the lamp, or not yet.
 const LIT_SHARE: f64 = 0.5;
+/// Under one lamp a pose is no dimmer than this share of the brightest, distance allowed for: 0.48 in recorded scans.
+const DIMMEST_POSE: f64 = 0.25;
 /// Images without the lamp go together that differ in brightness by no more than this share of the lit ones': while a lamp
 /// warms up, or a hand passes, images are no ambient light.
 const SAME_SHARE: f64 = 0.02;
@@ -84,7 +86,15 @@ impl LampGroup {
         Some(sums)
     }
 
-    fn brightest(&self) -> f64 {
+    /// How many of these may be lit by a lamp that would make the brightest of poses this bright, counts.
+    pub(super) fn n_lit(&self, lamp_counts: f64) -> usize {
+        let least = DIMMEST_POSE * lamp_counts;
+        let means = self.exposures.iter().map(Exposure::mean_counts);
+        means.filter(|counts| *counts >= least).count()
+    }
+
+    /// Mean counts of the brightest of them; 0 without any.
+    pub(super) fn brightest(&self) -> f64 {
         let means = self.exposures.iter().map(Exposure::mean_counts);
         means.fold(0.0, f64::max)
     }

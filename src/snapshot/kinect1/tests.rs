@@ -311,5 +311,10 @@ fn the_operator_is_led_through_the_sequence() {
     assert_eq!(step_after(1, |_| Shows::Lamp(400)).0, LampOn);
     assert_eq!(step_after(1, |_| Shows::Lamp(400)).0, Uncover);
     assert_eq!(step_after(1, |_| Shows::Depth(0.04)).0, CoverProjector);
+    // The next pose is in a lit room; how bright the lamp is is known by now.
+    assert_eq!(step_after(5, |_| Shows::Lamp(60)).0, LampOn);
+    assert_eq!(step_after(1, |_| Shows::Lamp(220)).0, LampOn);
+    assert_eq!(step_after(1, |_| Shows::Lamp(220)).0, Uncover);
+    assert_eq!(step_after(1, |_| Shows::Depth(0.04)).0, CoverProjector);
     assert_eq!(step_after(1, |_| Shows::Strange).0, Track);
 }
