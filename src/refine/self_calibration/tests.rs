@@ -1,7 +1,6 @@
 use super::*;
 use crate::refine::scenes::{RippledPlane, calibration, optics, poses_all_round, rays, views_of};
 use crate::snapshot::ShadingSnapshot;
-use depth_camera::{Light, LightKind};
 
 const RIPPLED: RippledPlane = RippledPlane {
     amplitude_m: 0.0004,
@@ -124,68 +123,5 @@ fn gloss_is_told_from_gamma() {
             "{:?} of {strength}",
             told.gloss
         );
-    }
-}
-
-#[test]
-fn derivatives_match_differences() {
-    for strength in [0.0, 0.3] {
-        derivatives_match_differences_with(Gloss {
-            strength,
-            power: 20.0,
-        });
-    }
-}
-
-fn derivatives_match_differences_with(gloss: Gloss) {
-    let light = Light {
-        position_m: [0.05, 0.01, 0.0],
-        kind: LightKind::Emitter,
-    };
-    let unknowns = Unknowns {
-        inv_gamma: 1.2,
-        light: calibration().light.near_light(&light),
-        log_indirect: 0.2,
-        gloss,
-        log_gains: vec![0.1],
-    };
-    let normal = Vector3::new(0.3, -0.2, -0.9);
-    let reading = Reading {
-        view: 0,
-        log_observed: -1.3,
-        log_flat: -0.1,
-        point: Point3::new(0.1, -0.05, 0.7),
-        normal,
-        tilts: [Vector3::x(), Vector3::y()],
-        indirect: Vector3::new(0.1, 0.2, -0.3),
-        sigma: 0.02,
-    };
-    let own = Vector3::new(-2.0, 0.01, 0.02);
-    let row = unknowns.row(&reading, &own).expect("lit");
-    let residual = |unknowns: &Unknowns, own: &Vector3<f64>| {
-        unknowns.row(&reading, own).expect("lit").residual
-    };
-    const STEP: f64 = 1e-6;
-    for k in 0..=N_SHARED {
-        // Gloss is taken to stay as the light moves, and there is no less than none.
-        let is_left_out = match gloss.strength > 0.0 {
-            true => (1..4).contains(&k),
-            false => k == 6,
-        };
-        if is_left_out {
-            continue;
-        }
-        let mut step = DVector::zeros(N_SHARED + 1);
-        step[k] = STEP;
-        let difference =
-            residual(&unknowns.moved(&step), &own) - residual(&unknowns.moved(&-step), &own);
-        let expected = if k < N_SHARED { row.by_shared[k] } else { -1.0 };
-        assert!((difference / (2.0 * STEP) - expected).abs() < 1e-6, "{k}");
-    }
-    for k in 0..3 {
-        let step = Vector3::ith(k, STEP);
-        let difference = residual(&unknowns, &(own + step)) - residual(&unknowns, &(own - step));
-        let derivative = difference / (2.0 * STEP);
-        assert!((derivative - row.by_own[k]).abs() < 1e-6, "{k}");
     }
 }

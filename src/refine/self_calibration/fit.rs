@@ -1,0 +1,375 @@
+//! What all patches share, by Gauss-Newton with every patch's own unknowns eliminated.
+
+use super::SelfCalibrationParams;
+use super::lit_patch::{LitPatch, Reading};
+use crate::shading::{Calibration, Gloss, NearLight, Tukey, median, median_absolute_deviation};
+use nalgebra::{DMatrix, DVector, Matrix3, SVector, Vector3};
+use rayon::prelude::*;
+
+/// Standard deviation of a patch's mean normal on the fused surface, radians.
+const TILT_SIGMA_RAD: f64 = 0.015;
+/// Standard deviation of the light's place along the optical axis, metres.
+const LIGHT_DEPTH_SIGMA_M: f64 = 0.001;
+/// Standard deviation of the strength of indirect light as a share of it.
+const INDIRECT_SIGMA: f64 = 0.3;
+/// Standard deviation of a view's gain as a share of it: as in alignment.
+const GAIN_SIGMA: f64 = 0.015;
+/// Standard deviation of the logarithm of gloss's exponent, and the exponents that are believed.
+const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
+const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
+/// Unknowns that all views share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light, strength
+/// of gloss and the logarithm of its exponent.
+const N_SHARED: usize = 8;
+/// Gauss-Newton steps at most, and the change of 1/gamma that ends them.
+const MAX_STEPS: usize = 12;
+const SETTLED: f64 = 1e-4;
+/// Patches that are summed one after the other, whatever the threads.
+const TILE: usize = 128;
+
+/// What all patches share.
+#[derive(Clone)]
+pub struct Unknowns {
+    /// 1/gamma.
+    pub inv_gamma: f64,
+    /// The lamp, camera frame.
+    pub light: NearLight,
+    /// Logarithm of the factor on indirect light.
+    pub log_indirect: f64,
+    /// Of the whole surface.
+    pub gloss: Gloss,
+    /// Logarithm of the gain of each view.
+    pub log_gains: Vec<f64>,
+}
+
+/// A residual, `ln I / gamma - ln flat - ln (n · E + gloss) - ln rho - ln gain`, and its derivatives; gloss is taken to stay as the light
+/// moves.
+struct Row {
+    residual: f64,
+    by_shared: SVector<f64, N_SHARED>,
+    by_own: Vector3<f64>,
+}
+
+impl Unknowns {
+    /// The residual of a reading of a patch; `None` where it faces away from the light.
+    fn row(&self, reading: &Reading, own: &Vector3<f64>) -> Option<Row> {
+        let [first, second] = &reading.tilts;
+        let normal = reading.normal + first * own[1] + second * own[2];
+        let indirect = reading.indirect * self.log_indirect.exp();
+        let direct = self.light.incident(&reading.point);
+        let arriving = direct + indirect;
+        // Of strength 1, which is also the derivative by the strength.
+        let strength = self.gloss.strength;
+        let gloss = Gloss {
+            strength: 1.0,
+            ..self.gloss
+        };
+        let highlight = gloss.highlight(&reading.point, &normal, &direct);
+        let cosine_to_power = (highlight.value / direct.norm()).max(f64::MIN_POSITIVE);
+        let irradiance = normal.dot(&arriving) + strength * highlight.value;
+        if irradiance <= 0.0 {
+            return None;
+        }
+        let by_normal = arriving + highlight.by_normal * strength;
+        // The light moves as the point does, the other way.
+        let by_light = self.light.irradiance_by_point(&reading.point, &normal) / irradiance;
+        let ray = reading.point - self.light.position;
+        let log_cosine = (ray.z / ray.norm()).max(f64::MIN_POSITIVE).ln();
+        let lit_directly = normal.dot(&direct) + strength * highlight.value;
+        let by_lobe = -lit_directly / irradiance * log_cosine;
+        let by_indirect = -normal.dot(&indirect) / irradiance;
+        Some(Row {
+            residual: reading.log_observed * self.inv_gamma
+                - reading.log_flat
+                - irradiance.ln()
+                - own[0]
+                - self.log_gains[reading.view],
+            by_shared: SVector::from([
+                reading.log_observed,
+                by_light.x,
+                by_light.y,
+                by_light.z,
+                by_lobe,
+                by_indirect,
+                -highlight.value / irradiance,
+                -strength * highlight.value * cosine_to_power.ln() / irradiance,
+            ]),
+            by_own: Vector3::new(
+                -1.0,
+                -first.dot(&by_normal) / irradiance,
+                -second.dot(&by_normal) / irradiance,
+            ),
+        })
+    }
+
+    fn moved(&self, step: &DVector<f64>) -> Unknowns {
+        let mut next = self.clone();
+        next.inv_gamma += step[0];
+        for axis in 0..3 {
+            next.light.position[axis] += step[1 + axis];
+        }
+        next.light.lobe_power = (next.light.lobe_power + step[4]).max(0.0);
+        next.log_indirect += step[5];
+        next.gloss.strength = (next.gloss.strength + step[6]).max(0.0);
+        let (least, most) = GLOSS_POWERS;
+        next.gloss.power = (next.gloss.power * step[7].exp()).clamp(least, most);
+        for (gain, part) in next.log_gains.iter_mut().zip(step.iter().skip(N_SHARED)) {
+            *gain += part;
+        }
+        next
+    }
+
+    /// What is believed with the response and light of these.
+    pub fn calibration(&self, believed: &Calibration) -> Calibration {
+        let mut calibration = believed.clone();
+        calibration.gamma = 1.0 / self.inv_gamma;
+        calibration.light.position_m = Some(self.light.position.coords.into());
+        calibration.light.lobe_power = self.light.lobe_power;
+        calibration
+    }
+
+    /// Distance of every unknown from where it is believed to be, and its inverse variance.
+    fn prior(
+        &self,
+        start: &Unknowns,
+        params: &SelfCalibrationParams,
+        gloss_sigma: f64,
+    ) -> Vec<(f64, f64)> {
+        let moved = self.light.position - start.light.position;
+        let shared = [
+            (
+                self.inv_gamma - start.inv_gamma,
+                params.gamma_sigma * start.inv_gamma,
+            ),
+            (moved.x, params.light_sigma_m),
+            (moved.y, params.light_sigma_m),
+            (moved.z, LIGHT_DEPTH_SIGMA_M),
+            (
+                self.light.lobe_power - start.light.lobe_power,
+                params.lobe_sigma,
+            ),
+            (self.log_indirect, INDIRECT_SIGMA),
+            (self.gloss.strength, gloss_sigma),
+            (
+                (self.gloss.power / start.gloss.power).ln(),
+                GLOSS_LOG_POWER_SIGMA,
+            ),
+        ];
+        let gains = self.log_gains.iter().map(|gain| (*gain, GAIN_SIGMA));
+        let all = shared.into_iter().chain(gains);
+        all.map(|(distance, sigma)| (distance, 1.0 / (sigma * sigma)))
+            .collect()
+    }
+}
+
+/// Normal equations of a patch's own unknowns, and how they couple with those that all share.
+struct Own {
+    inverse: Matrix3<f64>,
+    gradient: Vector3<f64>,
+    coupling: DMatrix<f64>,
+}
+
+/// Normal equations of the shared unknowns with every patch's own eliminated.
+struct Normal {
+    jtj: DMatrix<f64>,
+    jtr: DVector<f64>,
+}
+
+impl Normal {
+    fn zero(n: usize) -> Normal {
+        Normal {
+            jtj: DMatrix::zeros(n, n),
+            jtr: DVector::zeros(n),
+        }
+    }
+
+    /// Adds a patch; `None` if its own unknowns are not determined, which their priors exclude.
+    fn add(&mut self, patch: &LitPatch, unknowns: &Unknowns, loss: &Tukey) -> Option<Own> {
+        let tilt_weight = 1.0 / (TILT_SIGMA_RAD * TILT_SIGMA_RAD);
+        // Any albedo will do; a patch without a reading that counts is held all the same.
+        let prior = Vector3::new(1e-6, tilt_weight, tilt_weight);
+        let mut own = Matrix3::from_diagonal(&prior);
+        let mut gradient = Vector3::new(0.0, patch.own[1], patch.own[2]) * tilt_weight;
+        let mut coupling = DMatrix::zeros(3, self.jtr.len());
+        for reading in &patch.readings {
+            let Some(row) = unknowns.row(reading, &patch.own) else {
+                continue;
+            };
+            let sigma = reading.sigma;
+            let weight = loss.weight(row.residual / sigma) / (sigma * sigma);
+            own += row.by_own * row.by_own.transpose() * weight;
+            gradient += row.by_own * (row.residual * weight);
+            // The shared unknowns, and the view's gain.
+            let mut touched = [(N_SHARED + reading.view, -1.0); N_SHARED + 1];
+            for (entry, shared) in touched.iter_mut().zip(row.by_shared.iter().enumerate()) {
+                *entry = (shared.0, *shared.1);
+            }
+            for (i, a) in touched {
+                self.jtr[i] += patch.share * weight * a * row.residual;
+                for (j, b) in touched {
+                    self.jtj[(i, j)] += patch.share * weight * a * b;
+                }
+                for k in 0..3 {
+                    coupling[(k, i)] += weight * row.by_own[k] * a;
+                }
+            }
+        }
+        let inverse = own.try_inverse()?;
+        self.jtj -= coupling.transpose() * (inverse * &coupling) * patch.share;
+        self.jtr -= coupling.transpose() * (inverse * gradient) * patch.share;
+        Some(Own {
+            inverse,
+            gradient,
+            coupling,
+        })
+    }
+}
+
+/// Gauss-Newton from `start`, which is also the prior, that of gloss as stated; the shared unknowns and their standard deviations.
+pub fn fit(
+    patches: &mut [LitPatch],
+    start: &Unknowns,
+    params: &SelfCalibrationParams,
+    gloss_sigma: f64,
+) -> Option<(Unknowns, Vec<f64>)> {
+    for patch in patches.iter_mut() {
+        patch.own = Vector3::zeros();
+        let rows = patch
+            .readings
+            .iter()
+            .filter_map(|reading| start.row(reading, &patch.own));
+        let mut residuals: Vec<f64> = rows.map(|row| row.residual).collect();
+        patch.own[0] = median(&mut residuals)?;
+    }
+    let (mut unknowns, mut sigmas) = (start.clone(), Vec::new());
+    for _ in 0..MAX_STEPS {
+        let loss = Tukey {
+            scale: residual_scale(patches, &unknowns),
+            cutoff: 4.685,
+        };
+        let n = N_SHARED + unknowns.log_gains.len();
+        let tiles: Option<Vec<(Normal, Vec<Own>)>> = patches
+            .par_chunks(TILE)
+            .map(|tile| {
+                let mut normal = Normal::zero(n);
+                let own: Option<Vec<Own>> = tile
+                    .iter()
+                    .map(|patch| normal.add(patch, &unknowns, &loss))
+                    .collect();
+                Some((normal, own?))
+            })
+            .collect();
+        let tiles = tiles?;
+        let mut normal = Normal::zero(n);
+        for (tile, _) in &tiles {
+            normal.jtj += &tile.jtj;
+            normal.jtr += &tile.jtr;
+        }
+        let prior = unknowns.prior(start, params, gloss_sigma);
+        for (k, (distance, weight)) in prior.into_iter().enumerate() {
+            normal.jtj[(k, k)] += weight;
+            normal.jtr[k] += weight * distance;
+        }
+        let cholesky = normal.jtj.cholesky()?;
+        let step = -cholesky.solve(&normal.jtr);
+        unknowns = unknowns.moved(&step);
+        let all_own = tiles.iter().flat_map(|(_, own)| own);
+        for (patch, own) in patches.iter_mut().zip(all_own) {
+            let coupled = &own.coupling * &step;
+            patch.own -= own.inverse * (own.gradient + coupled.fixed_rows::<3>(0));
+        }
+        let variances = cholesky.inverse().diagonal();
+        sigmas = variances.iter().map(|variance| variance.sqrt()).collect();
+        if step[0].abs() < SETTLED {
+            break;
+        }
+    }
+    let is_finite = unknowns.inv_gamma.is_finite() && unknowns.inv_gamma > 0.0;
+    is_finite.then_some((unknowns, sigmas))
+}
+
+/// Robust standard deviation of all residuals, in sigmas, at least 1.
+pub fn residual_scale(patches: &[LitPatch], unknowns: &Unknowns) -> f64 {
+    let mut residuals: Vec<f64> = patches
+        .par_iter()
+        .flat_map_iter(|patch| {
+            let rows = patch.readings.iter().filter_map(|reading| {
+                let row = unknowns.row(reading, &patch.own)?;
+                Some(row.residual / reading.sigma)
+            });
+            rows.collect::<Vec<f64>>()
+        })
+        .collect();
+    median_absolute_deviation(&mut residuals).max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::refine::scenes::calibration;
+    use depth_camera::{Light, LightKind};
+    use nalgebra::Point3;
+
+    #[test]
+    fn derivatives_match_differences() {
+        for strength in [0.0, 0.3] {
+            derivatives_match_differences_with(Gloss {
+                strength,
+                power: 20.0,
+            });
+        }
+    }
+
+    fn derivatives_match_differences_with(gloss: Gloss) {
+        let light = Light {
+            position_m: [0.05, 0.01, 0.0],
+            kind: LightKind::Emitter,
+        };
+        let unknowns = Unknowns {
+            inv_gamma: 1.2,
+            light: calibration().light.near_light(&light),
+            log_indirect: 0.2,
+            gloss,
+            log_gains: vec![0.1],
+        };
+        let normal = Vector3::new(0.3, -0.2, -0.9);
+        let reading = Reading {
+            view: 0,
+            log_observed: -1.3,
+            log_flat: -0.1,
+            point: Point3::new(0.1, -0.05, 0.7),
+            normal,
+            tilts: [Vector3::x(), Vector3::y()],
+            indirect: Vector3::new(0.1, 0.2, -0.3),
+            sigma: 0.02,
+        };
+        let own = Vector3::new(-2.0, 0.01, 0.02);
+        let row = unknowns.row(&reading, &own).expect("lit");
+        let residual = |unknowns: &Unknowns, own: &Vector3<f64>| {
+            unknowns.row(&reading, own).expect("lit").residual
+        };
+        const STEP: f64 = 1e-6;
+        for k in 0..=N_SHARED {
+            // Gloss is taken to stay as the light moves, and there is no less than none.
+            let is_left_out = match gloss.strength > 0.0 {
+                true => (1..4).contains(&k),
+                false => k == 6,
+            };
+            if is_left_out {
+                continue;
+            }
+            let mut step = DVector::zeros(N_SHARED + 1);
+            step[k] = STEP;
+            let difference =
+                residual(&unknowns.moved(&step), &own) - residual(&unknowns.moved(&-step), &own);
+            let expected = if k < N_SHARED { row.by_shared[k] } else { -1.0 };
+            assert!((difference / (2.0 * STEP) - expected).abs() < 1e-6, "{k}");
+        }
+        for k in 0..3 {
+            let step = Vector3::ith(k, STEP);
+            let difference =
+                residual(&unknowns, &(own + step)) - residual(&unknowns, &(own - step));
+            let derivative = difference / (2.0 * STEP);
+            assert!((derivative - row.by_own[k]).abs() < 1e-6, "{k}");
+        }
+    }
+}
