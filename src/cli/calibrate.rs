@@ -8,8 +8,8 @@ mod print;
 mod targets;
 
 use super::{
-    numbers,
     run::{Verdict, session_name},
+    values::numbers,
 };
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
