@@ -38,7 +38,7 @@ pub struct Surface {
 
 /// What stays fixed while displacements are solved for.
 pub struct Problem<'a> {
-    /// What the views show at each face: sampled and lit at its centroid at the start of the round (Sec. 4.3 holds d and l).
+    /// What the views show at each face: sampled and lit at its centroid at the start of the round.
     pub observations: &'a Observations,
     /// Group of albedo of each face.
     pub labels: &'a [u8],
@@ -94,6 +94,15 @@ pub struct FaceBlock {
     pub by_albedo: (Vector3<f64>, f64, f64),
 }
 
+/// A face as the views are asked about it.
+struct Facet {
+    face: usize,
+    normal: Vector3<f64>,
+    area: f64,
+    albedo: f64,
+    moved_m: f64,
+}
+
 impl Problem<'_> {
     /// Energy of the surface with the groups' albedos.
     pub fn energy(&self, surface: &Surface, albedos: &[f64]) -> f64 {
@@ -102,7 +111,7 @@ impl Problem<'_> {
             .map(|tile| {
                 let end = ((tile + 1) * TILE).min(surface.mesh.faces.len());
                 (tile * TILE..end)
-                    .map(|face| self.face_energy(&surface.mesh, albedos, face))
+                    .map(|face| self.face_energy(surface, albedos, face))
                     .sum()
             })
             .collect();
@@ -127,14 +136,15 @@ impl Problem<'_> {
             + self.priors.smoothness * smoothness)
     }
 
-    fn face_energy(&self, mesh: &TriMesh, albedos: &[f64], face: usize) -> f64 {
-        let Some((normal, area)) = unit_normal(mesh, face) else {
+    fn face_energy(&self, surface: &Surface, albedos: &[f64], face: usize) -> f64 {
+        let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
             return 0.0;
         };
         let albedo = self.albedo_of(face, albedos);
+        let moved_m = self.observations.moved_m(surface, face);
         let mut energy = 0.0;
         for seen in self.observations.of(face) {
-            if let Some(residual) = seen.residual(&normal, albedo) {
+            if let Some(residual) = seen.moved(moved_m).residual(&normal, albedo) {
                 energy += seen.covered(&normal, area) * self.loss.loss(residual);
             }
         }
@@ -223,45 +233,54 @@ impl Problem<'_> {
         if self.observations.of(face).is_empty() {
             return FaceBlock::default();
         }
-        let albedo = self.albedo_of(face, albedos);
-        let block = match self.jacobian {
-            JacobianMode::Analytic => unit_normal(&surface.mesh, face).map(|(normal, area)| {
-                let by_corner = normal_by_displacement(surface, face, &normal);
-                // The pixel, d and l are held: only the normal moves with the displacements.
-                self.sum_over_views(face, (&normal, area), albedo, |seen| {
-                    let by_normal = seen.light() * -albedo;
-                    Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]))
-                })
-            }),
-            JacobianMode::Numeric => unit_normal(&surface.mesh, face)
-                .zip(DisplacedNormals::of(surface, face))
-                .map(|((normal, area), displaced)| {
-                    let row = |seen: &Observation| displaced.row(seen, albedo);
-                    self.sum_over_views(face, (&normal, area), albedo, row)
-                }),
+        let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
+            return FaceBlock::default();
         };
-        block.unwrap_or_default()
+        let facet = Facet {
+            face,
+            normal,
+            area,
+            albedo: self.albedo_of(face, albedos),
+            moved_m: self.observations.moved_m(surface, face),
+        };
+        let albedo = facet.albedo;
+        match self.jacobian {
+            JacobianMode::Analytic => {
+                let by_corner = normal_by_displacement(surface, face, &normal);
+                self.sum_over_views(&facet, |seen| {
+                    let by_normal = seen.light() * -albedo;
+                    // Each corner takes the centroid a third of its way.
+                    let by_motion = seen.by_motion(albedo) / 3.0;
+                    Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]) + by_motion)
+                })
+            }
+            JacobianMode::Numeric => match DisplacedNormals::of(surface, face) {
+                Some(displaced) => {
+                    self.sum_over_views(&facet, |seen| displaced.row(seen, albedo, facet.moved_m))
+                }
+                None => FaceBlock::default(),
+            },
+        }
     }
 
     /// Sums what the views say of a face; `row` gives the derivatives of a residual by the displacements of the corners.
     #[inline]
     fn sum_over_views(
         &self,
-        face: usize,
-        (normal, area): (&Vector3<f64>, f64),
-        albedo: f64,
+        facet: &Facet,
         row: impl Fn(&Observation) -> Vector3<f64>,
     ) -> FaceBlock {
         let mut block = FaceBlock::default();
-        for seen in self.observations.of(face) {
-            let Some(residual) = seen.residual(normal, albedo) else {
+        for seen in self.observations.of(facet.face) {
+            let moved = seen.moved(facet.moved_m);
+            let Some(residual) = moved.residual(&facet.normal, facet.albedo) else {
                 continue;
             };
-            let weight = self.loss.weight(residual) * seen.covered(normal, area);
+            let weight = self.loss.weight(residual) * seen.covered(&facet.normal, facet.area);
             let row = row(seen);
             block.jtj += row * row.transpose() * weight;
             block.jtr += row * (weight * residual);
-            let by_log_albedo = residual - f64::from(seen.observed);
+            let by_log_albedo = residual - moved.observed();
             let (coupling, diagonal, gradient) = &mut block.by_albedo;
             *coupling += row * (weight * by_log_albedo);
             *diagonal += weight * by_log_albedo * by_log_albedo;
@@ -304,6 +323,13 @@ fn mean_of(patch: &Patch, total_m: &[f64]) -> f64 {
 }
 
 impl Surface {
+    /// Displacement of a face's centroid from the base mesh so far, metres.
+    #[inline]
+    pub fn mean_displacement_m(&self, face: usize) -> f64 {
+        let [a, b, c] = self.mesh.faces[face].map(|vertex| self.total_m[vertex as usize]);
+        (a + b + c) / 3.0
+    }
+
     /// The surface with every vertex moved along its direction.
     pub fn displaced(&self, step_m: &[f64]) -> Surface {
         let mut next = self.clone();

@@ -11,7 +11,6 @@
 //! of their detail, while the slow shape was off by four times as much.
 
 use super::energy::{Problem, Surface, unit_normal};
-use super::observations::Observations;
 use super::rounds::{Rounds, State, final_loss};
 use super::sites::{Sites, ViewSet};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
@@ -100,17 +99,9 @@ impl Rounds<'_> {
             views,
             albedo,
         } = state;
-        let observations = Observations::new(sites, views);
-        let problem = Problem {
-            observations: &observations,
-            labels: &albedo.labels,
-            tints: &albedo.tints,
-            loss: final_loss(observations.residual_scale(sites, &albedo.by_face)),
-            priors: self.prior_weights(),
-            edges: &self.level.edges,
-            patches: &self.level.patches,
-            jacobian: self.params.jacobian,
-        };
+        let observations = self.observe(sites, surface, views);
+        let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
+        let problem = self.problem(&observations, albedo, loss);
         let with_images =
             problem.linearise(surface, &albedo.groups, self.level.pattern.couplings());
         let without = problem.prior_matrix(&surface.total_m, self.level.pattern.couplings());

@@ -112,6 +112,17 @@ pub struct Weighed {
     pub light: Lanes3,
     /// Pixels that a square metre covers, by the unit normal.
     pub pixels_per_m2: Lanes3,
+    /// What changes as the points move.
+    pub slopes: Slopes,
+}
+
+/// How what a view shows changes as the points move, per metre and standard deviation of what was observed; 0 where they do not.
+#[derive(Default)]
+pub struct Slopes {
+    /// The observed intensity.
+    pub image: Lane,
+    /// The prediction for unit albedo, by the light that comes straight.
+    pub light: Lane,
 }
 
 impl<'a> Gaze<'a> {
@@ -140,12 +151,14 @@ impl<'a> Gaze<'a> {
         self.arch.dispatch(LookAt { gaze: self, points })
     }
 
-    /// The same as the solver needs it; the normals count on a glossy surface alone.
-    pub fn weighed(&self, points: &Lanes3, normals: &Lanes3) -> Weighed {
+    /// The same as the solver needs it, with how it changes as the points move `along` vectors, if they do. Without that the normals
+    /// count on a glossy surface alone.
+    pub fn weighed(&self, points: &Lanes3, normals: &Lanes3, along: Option<&Lanes3>) -> Weighed {
         self.arch.dispatch(Weigh {
             gaze: self,
             points,
             normals,
+            along,
         })
     }
 
@@ -258,7 +271,7 @@ impl<'a> Gaze<'a> {
         reason = "one index runs through all the lanes, which is what becomes vector code"
     )]
     #[inline(always)]
-    fn weighed_lanes(&self, points: &Lanes3, normals: &Lanes3) -> Weighed {
+    fn weighed_lanes(&self, points: &Lanes3, normals: &Lanes3, along: Option<&Lanes3>) -> Weighed {
         let looks = self.looks_lanes(points);
         let mut arriving = looks.direct;
         for (sum, indirect) in arriving.iter_mut().zip(&looks.indirect) {
@@ -273,6 +286,7 @@ impl<'a> Gaze<'a> {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
             pixels_per_m2: [[0.0; LANES]; 3],
+            slopes: along.map_or_else(Slopes::default, |along| self.slopes(&looks, normals, along)),
         };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
         for i in 0..LANES {
@@ -296,6 +310,38 @@ impl<'a> Gaze<'a> {
             };
         }
         weighed
+    }
+
+    /// How what is seen changes as points move along vectors. Gain, light over other surfaces and gloss are taken to stay.
+    #[inline(always)]
+    fn slopes(&self, looks: &Looks, normals: &Lanes3, along: &Lanes3) -> Slopes {
+        /// Half a millimetre is a third of a pixel, far from the rounding of its place.
+        const STEP_M: f32 = 5e-4;
+        let light: [f32; 3] = self.view.light().position.coords.cast::<f32>().into();
+        let mut ahead = looks.point;
+        let mut slopes = Slopes::default();
+        for i in 0..LANES {
+            let m = self.refined.turn([0, 1, 2].map(|axis| along[axis][i]));
+            let n = self.refined.turn([0, 1, 2].map(|axis| normals[axis][i]));
+            let arriving = [0, 1, 2].map(|axis| looks.direct[axis][i]);
+            let v = [0, 1, 2].map(|axis| light[axis] - looks.point[axis][i]);
+            // n·E with E = v/|v|³ and v growing shorter by m.
+            let by_motion = (3.0 * dot(&n, &arriving) * dot(&v, &m)
+                - dot(&arriving, &v) * dot(&n, &m))
+                / dot(&v, &v);
+            slopes.light[i] = by_motion * looks.gain[i] / looks.sigma[i];
+            for axis in 0..3 {
+                ahead[axis][i] += STEP_M * m[axis];
+            }
+        }
+        let (pixel, is_inside) = pixels(self.view.lens(), &ahead);
+        for i in 0..LANES {
+            let [du, dv] = [0, 1].map(|axis| pixel[axis][i] - looks.pixel[axis][i]);
+            let step = looks.gradient[0][i] * du + looks.gradient[1][i] * dv;
+            let slope = step / (STEP_M * looks.sigma[i]);
+            slopes.image[i] = if is_inside[i] { slope } else { 0.0 };
+        }
+        slopes
     }
 
     /// Adds what gloss sends, as light whose product with the normal has the highlight's value and slope.
@@ -324,10 +370,14 @@ pub fn set_lane(lanes: &mut Lanes3, lane: usize, value: &Vector3<f64>) {
     }
 }
 
+#[inline(always)]
+fn dot(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
 /// Whether a surface faces back along the way to it, and not at a grazing angle.
 #[inline(always)]
 fn is_facing(normal: &[f32; 3], way: &[f32; 3]) -> bool {
-    let dot = |a: &[f32; 3], b: &[f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let cosine = -dot(normal, way);
     (cosine > 0.0) & (cosine * cosine > MIN_COSINE * MIN_COSINE * dot(way, way))
 }
@@ -419,6 +469,7 @@ struct Weigh<'a> {
     gaze: &'a Gaze<'a>,
     points: &'a Lanes3,
     normals: &'a Lanes3,
+    along: Option<&'a Lanes3>,
 }
 
 impl WithSimd for Weigh<'_> {
@@ -426,7 +477,8 @@ impl WithSimd for Weigh<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Weighed {
-        self.gaze.weighed_lanes(self.points, self.normals)
+        self.gaze
+            .weighed_lanes(self.points, self.normals, self.along)
     }
 }
 

@@ -44,6 +44,7 @@ mod rounds;
 mod scenes;
 mod self_calibration;
 mod single_view;
+mod site_motion;
 mod sites;
 mod solver;
 pub mod stages;
@@ -66,6 +67,7 @@ pub use params::RefineParams;
 pub use preparation::{Subject, contradiction_as_tracked};
 pub use self_calibration::{Contradiction, SelfCalibrationParams};
 pub use single_view::surface_of_view;
+pub use site_motion::Linearisation;
 pub use solver::{Iteration, RefineStatus, Step};
 pub use view::{HIDING_CELL_M, ImageTrust};
 

@@ -1,9 +1,11 @@
-//! What every view shows at every site: all of the residual of Eq. (6) that does not change while the surface is displaced.
+//! What every view shows at every site: all of the residual of Eq. (6) but the normals.
 //!
-//! Within a solve pixel, distance and light are held (Sec. 4.3) and only the normals move, so that each image is sampled once
-//! and a residual costs a scalar product.
+//! Each image is sampled once a round. Within a solve pixel, distance and light are held (Sec. 4.3), or change in proportion to
+//! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way.
 
+use super::energy::Surface;
 use super::gaze::{Gaze, Lanes3, Weighed, set_lane};
+use super::site_motion::SiteMotion;
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::lanes::LANES;
@@ -22,6 +24,10 @@ pub struct Observation {
     light: [f32; 3],
     /// Pixels that a square metre covers, by the unit normal, world frame.
     pixels_per_m2: [f32; 3],
+    /// By how much `observed` changes as the site moves, per metre; 0 where pixels are held.
+    image_slope: f32,
+    /// The same of the prediction for unit albedo.
+    light_slope: f32,
 }
 
 impl Observation {
@@ -30,6 +36,8 @@ impl Observation {
         observed: f32::NAN,
         light: [0.0; 3],
         pixels_per_m2: [0.0; 3],
+        image_slope: 0.0,
+        light_slope: 0.0,
     };
 
     fn of_lane(weighed: &Weighed, lane: usize) -> Observation {
@@ -38,6 +46,8 @@ impl Observation {
             observed: weighed.observed[lane],
             light: of(&weighed.light),
             pixels_per_m2: of(&weighed.pixels_per_m2),
+            image_slope: weighed.slopes.image[lane],
+            light_slope: weighed.slopes.light[lane],
         }
     }
 
@@ -55,14 +65,25 @@ impl Observation {
     /// Prediction for unit albedo, in sigmas; `None` where the surface faces away from the light.
     #[inline]
     pub fn unit_prediction(&self, normal: &Vector3<f64>) -> Option<f64> {
-        let unit = self.light().dot(normal);
-        (unit > 0.0).then_some(unit)
+        self.moved(0.0).unit_prediction(normal)
     }
 
     /// Observed less predicted intensity, in sigmas; `None` where the surface faces away from the light.
     #[inline]
     pub fn residual(&self, normal: &Vector3<f64>, albedo: f64) -> Option<f64> {
-        Some(f64::from(self.observed) - albedo * self.unit_prediction(normal)?)
+        self.moved(0.0).residual(normal, albedo)
+    }
+
+    /// What the view shows once the site has moved, metres along its direction.
+    #[inline]
+    pub fn moved(&self, by_m: f64) -> Moved<'_> {
+        Moved { seen: self, by_m }
+    }
+
+    /// Derivative of the residual by the site's motion, per metre.
+    #[inline]
+    pub fn by_motion(&self, albedo: f64) -> f64 {
+        f64::from(self.image_slope) - albedo * f64::from(self.light_slope)
     }
 
     /// How much a facet counts: the pixels that it covers, at most one.
@@ -73,10 +94,38 @@ impl Observation {
     }
 }
 
+/// One site in one view, moved.
+pub struct Moved<'a> {
+    seen: &'a Observation,
+    by_m: f64,
+}
+
+impl Moved<'_> {
+    /// As of [`Observation::observed`].
+    #[inline]
+    pub fn observed(&self) -> f64 {
+        f64::from(self.seen.observed) + f64::from(self.seen.image_slope) * self.by_m
+    }
+
+    /// As of [`Observation::residual`].
+    #[inline]
+    pub fn residual(&self, normal: &Vector3<f64>, albedo: f64) -> Option<f64> {
+        Some(self.observed() - albedo * self.unit_prediction(normal)?)
+    }
+
+    #[inline]
+    fn unit_prediction(&self, normal: &Vector3<f64>) -> Option<f64> {
+        let unit = self.seen.light().dot(normal) + f64::from(self.seen.light_slope) * self.by_m;
+        (unit > 0.0).then_some(unit)
+    }
+}
+
 /// The observations of all sites.
 pub struct Observations {
     /// Of [`TILE`] faces each.
     tiles: Vec<Tile>,
+    /// What the observations change with beside the normals.
+    motion: Option<SiteMotion>,
 }
 
 /// Sites looked at for the scale of the residuals: every so many.
@@ -85,26 +134,43 @@ const SCALE_STRIDE: usize = 5;
 const TILE: usize = 2048;
 
 impl Observations {
-    /// Samples every view at the sites that it sees.
-    pub fn new(sites: &Sites, views: &[View]) -> Observations {
-        Self::every(1, sites, views)
+    /// Samples every view at the sites that it sees, which may move.
+    pub fn new(sites: &Sites, views: &[View], motion: Option<SiteMotion>) -> Observations {
+        Self::every(1, sites, views, motion)
     }
 
     /// As [`Self::new`], for what [`Self::residual_scale`] looks at alone.
     pub fn for_scale(sites: &Sites, views: &[View]) -> Observations {
-        Self::every(SCALE_STRIDE, sites, views)
+        Self::every(SCALE_STRIDE, sites, views, None)
     }
 
-    fn every(stride: usize, sites: &Sites, views: &[View]) -> Observations {
+    fn every(
+        stride: usize,
+        sites: &Sites,
+        views: &[View],
+        motion: Option<SiteMotion>,
+    ) -> Observations {
         let n_faces = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
         let tiles = (0..n_faces.div_ceil(TILE)).into_par_iter().map(|tile| {
             let faces = tile * TILE..((tile + 1) * TILE).min(n_faces);
-            Tile::new(faces, stride, sites, &gazes)
+            let looked_at = LookedAt {
+                sites,
+                motion: motion.as_ref(),
+            };
+            Tile::new(faces, stride, looked_at, &gazes)
         });
         Observations {
             tiles: tiles.collect(),
+            motion,
         }
+    }
+
+    /// How far the site of a face has moved since it was looked at, metres; 0 where sites are held.
+    #[inline]
+    pub fn moved_m(&self, surface: &Surface, face: usize) -> f64 {
+        let motion = self.motion.as_ref();
+        motion.map_or(0.0, |motion| motion.moved_m(surface, face))
     }
 
     /// The observations of a face, in the order of the views.
@@ -129,6 +195,13 @@ impl Observations {
     }
 }
 
+/// What views look at.
+#[derive(Clone, Copy)]
+struct LookedAt<'a> {
+    sites: &'a Sites,
+    motion: Option<&'a SiteMotion>,
+}
+
 /// What the views show of some faces.
 struct Tile {
     /// Where the observations of each face begin; one more than faces.
@@ -138,9 +211,9 @@ struct Tile {
 }
 
 impl Tile {
-    fn new(faces: Range<usize>, stride: usize, sites: &Sites, gazes: &[Gaze]) -> Tile {
+    fn new(faces: Range<usize>, stride: usize, looked_at: LookedAt, gazes: &[Gaze]) -> Tile {
         let set_of = |face: usize| match face % stride {
-            0 => sites.visible[face],
+            0 => looked_at.sites.visible[face],
             _ => 0,
         };
         let mut starts = vec![0; faces.len() + 1];
@@ -158,7 +231,7 @@ impl Tile {
                 let before = (set_of(face) & ((1 << k) - 1)).count_ones();
                 (face, (starts[face - faces.start] + before) as usize)
             });
-            observe(gaze, slots, sites, &mut entries);
+            observe(gaze, slots, looked_at, &mut entries);
         }
         let mut there = 0;
         for start in 0..faces.len() {
@@ -177,22 +250,26 @@ impl Tile {
 fn observe(
     gaze: &Gaze,
     mut slots: impl Iterator<Item = (usize, usize)>,
-    sites: &Sites,
+    LookedAt { sites, motion }: LookedAt,
     entries: &mut [Observation],
 ) {
     let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    let mut along = motion.map(|_| [[0.0; LANES]; 3]);
     loop {
         let (mut to, mut n) = ([0; LANES], 0);
         for (face, slot) in slots.by_ref().take(LANES) {
             set_lane(&mut points, n, &sites.points[face].coords);
             set_lane(&mut normals, n, &sites.normals[face]);
+            if let (Some(along), Some(motion)) = (&mut along, motion) {
+                set_lane(along, n, motion.along(face));
+            }
             to[n] = slot;
             n += 1;
         }
         if n == 0 {
             return;
         }
-        let weighed = gaze.weighed(&points, &normals);
+        let weighed = gaze.weighed(&points, &normals, along.as_ref());
         for (lane, &slot) in to[..n].iter().enumerate() {
             entries[slot] = Observation::of_lane(&weighed, lane);
         }

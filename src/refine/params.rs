@@ -4,6 +4,7 @@ use super::albedo::AlbedoParams;
 use super::alignment::AlignmentParams;
 use super::numeric::JacobianMode;
 use super::self_calibration::SelfCalibrationParams;
+use super::site_motion::Linearisation;
 use super::view::ImageTrust;
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +28,8 @@ pub struct RefineParams {
     pub patch_sigma_m: f64,
     /// Standard deviation of the slope of the displacement, radians: Eq. (7). 0.15 and 0.3 give the same surface.
     pub slope_sigma_rad: f64,
+    /// What of the data term follows the displacements within a round.
+    pub linearisation: Linearisation,
     /// How the derivatives of the data term are found; both ways give the same surface.
     pub jacobian: JacobianMode,
     /// Materials told apart by their albedo at most.
@@ -53,6 +56,7 @@ impl Default for RefineParams {
             patch_m: 0.02,
             patch_sigma_m: 0.00018,
             slope_sigma_rad: 0.15,
+            linearisation: Linearisation::Full,
             jacobian: JacobianMode::Analytic,
             max_albedos: 6,
             interreflection: true,

@@ -6,6 +6,7 @@ use super::energy::{PriorWeights, Problem, Surface};
 use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
+use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
 use super::solver::{Iteration, RefineStatus, SolverParams, minimise};
 use super::view::View;
@@ -46,7 +47,7 @@ pub fn final_loss(scale: f64) -> Tukey {
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
     pub fn first_albedo(&self, sites: &Sites, views: &[View]) -> Option<Albedo> {
-        let observations = Observations::new(sites, views);
+        let observations = Observations::new(sites, views, None);
         let mut albedo = self.estimate_albedo(sites, &observations, None)?;
         for _ in 0..3 {
             let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
@@ -109,22 +110,13 @@ impl Rounds<'_> {
         self.align(mesh, sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let observations = Observations::new(sites, views);
+        let observations = self.observe(sites, surface, views);
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
         if let Some(next) = self.estimate_albedo(sites, &observations, current) {
             *albedo = next;
         }
-        let problem = Problem {
-            observations: &observations,
-            labels: &albedo.labels,
-            tints: &albedo.tints,
-            loss,
-            priors: self.prior_weights(),
-            edges: &self.level.edges,
-            patches: &self.level.patches,
-            jacobian: self.params.jacobian,
-        };
+        let problem = self.problem(&observations, albedo, loss);
         let solver = SolverParams {
             max_steps: self.params.max_steps,
             min_decrease: 1e-4,
@@ -196,6 +188,36 @@ impl Rounds<'_> {
             align_view(view, &target, &self.params.alignment);
             fit_gain_field(view, &target);
         });
+    }
+}
+
+impl<'a> Rounds<'a> {
+    /// What views show at a surface's sites, and how that changes with its displacements.
+    pub fn observe(&self, sites: &Sites, surface: &Surface, views: &[View]) -> Observations {
+        let motion = SiteMotion::of(surface, self.params.linearisation);
+        Observations::new(sites, views, motion)
+    }
+
+    /// What is solved for displacements.
+    pub fn problem<'p>(
+        &self,
+        observations: &'p Observations,
+        albedo: &'p Albedo,
+        loss: Tukey,
+    ) -> Problem<'p>
+    where
+        'a: 'p,
+    {
+        Problem {
+            observations,
+            labels: &albedo.labels,
+            tints: &albedo.tints,
+            loss,
+            priors: self.prior_weights(),
+            edges: &self.level.edges,
+            patches: &self.level.patches,
+            jacobian: self.params.jacobian,
+        }
     }
 }
 

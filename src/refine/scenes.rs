@@ -6,6 +6,7 @@ use super::numeric::JacobianMode;
 use super::observations::Observations;
 use super::optics::Optics;
 use super::rounds::{final_loss, prior_weights, radius_about};
+use super::site_motion::SiteMotion;
 use super::sites::Sites;
 use super::solver::{Pattern, SolverParams, minimise};
 use super::view::{ImageTrust, View, ViewContext};
@@ -264,8 +265,9 @@ pub fn solved_from_plane(
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let params = RefineParams::default();
+    let motion = SiteMotion::of(&surface, params.linearisation);
     let problem = Problem {
-        observations: &Observations::new(&sites, &views),
+        observations: &Observations::new(&sites, &views, motion),
         labels: &vec![0; surface.mesh.faces.len()],
         tints: &vec![1.0; surface.mesh.faces.len()],
         loss: final_loss(3.0),

@@ -44,7 +44,8 @@ impl Stages {
         prepared.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();
         let sites = Sites::new(&state.surface.mesh, &state.views, learning);
-        let observations = Observations::new(&sites, &state.views);
+        let rounds = prepared.finest();
+        let observations = rounds.observe(&sites, &state.surface, &state.views);
         let scale = observations.residual_scale(&sites, &state.albedo.by_face);
         Ok(Stages {
             prepared,
@@ -73,7 +74,8 @@ impl Stages {
 
     /// Samples every image at every facet that it sees; returns the robust scale of the residuals, in sigmas.
     pub fn observe(&self) -> f64 {
-        let observations = Observations::new(&self.sites, &self.state.views);
+        let State { surface, views, .. } = &self.state;
+        let observations = self.prepared.finest().observe(&self.sites, surface, views);
         observations.residual_scale(&self.sites, &self.state.albedo.by_face)
     }
 
@@ -157,16 +159,7 @@ impl Stages {
 
     fn problem(&self) -> Problem<'_> {
         let rounds = self.prepared.finest();
-        Problem {
-            observations: &self.observations,
-            labels: &self.state.albedo.labels,
-            tints: &self.state.albedo.tints,
-            loss: self.loss,
-            priors: rounds.prior_weights(),
-            patches: &rounds.level.patches,
-            edges: &rounds.level.edges,
-            jacobian: rounds.params.jacobian,
-        }
+        rounds.problem(&self.observations, &self.state.albedo, self.loss)
     }
 }
 

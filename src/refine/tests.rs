@@ -9,6 +9,7 @@ use super::optics::Optics;
 use super::scenes::{
     ALBEDO, RippledPlane, calibration, optics, poses, rays, solved_from_plane, surface_of, views,
 };
+use super::site_motion::{Linearisation, SiteMotion};
 use super::sites::Sites;
 use super::solver::SolverParams;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
@@ -46,17 +47,25 @@ fn shaken(surface: &Surface, amplitude_m: f64) -> Surface {
 
 #[test]
 fn gradient_matches_central_differences_of_the_energy() {
+    for linearisation in [Linearisation::Full, Linearisation::Detail] {
+        check_gradient(linearisation);
+    }
+}
+
+fn check_gradient(linearisation: Linearisation) {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let mesh = FLAT.mesh(0.004);
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
-    let surface = shaken(&surface_of(mesh), 1e-4);
-    let sites = Sites::new(&surface.mesh, &views, u64::MAX);
+    let looked_at = shaken(&surface_of(mesh), 1e-4);
+    let sites = Sites::new(&looked_at.mesh, &views, u64::MAX);
+    let motion = SiteMotion::of(&looked_at, linearisation);
+    let surface = shaken(&looked_at, 5e-5);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let problem = Problem {
-        observations: &Observations::new(&sites, &views),
+        observations: &Observations::new(&sites, &views, motion),
         labels: &(0..surface.mesh.faces.len())
             .map(|face| (face % 2) as u8)
             .collect::<Vec<_>>(),

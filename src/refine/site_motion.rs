@@ -1,0 +1,60 @@
+//! What of Eq. (6) follows the surface while displacements are solved for.
+//!
+//! The paper holds d within an iteration. A surface that is displaced also moves on the images of the views that look at it from
+//! aside, which tells where it is beside how it is tilted: brightness has to change from place to place as each view shows it.
+
+use super::energy::Surface;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What of the data term follows the displacements within a round; all of it is found anew at the start of each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Linearisation {
+    /// Normal, pixel, d and l.
+    #[default]
+    Full,
+    /// The normal alone, as in the paper: pixel, d and l are held.
+    Detail,
+}
+
+/// How the sites of a surface move with the displacements of its vertices, from where they were when it was looked at.
+pub struct SiteMotion {
+    /// How far each site moves where all corners of its face are displaced by a metre.
+    along: Vec<Vector3<f64>>,
+    /// Mean displacement of the corners of each face when it was looked at, metres.
+    from_m: Vec<f64>,
+}
+
+impl SiteMotion {
+    /// The motion of a surface's sites from where they are; `None` where nothing but the normals follows.
+    pub fn of(surface: &Surface, linearisation: Linearisation) -> Option<SiteMotion> {
+        let faces = || 0..surface.mesh.faces.len();
+        (linearisation == Linearisation::Full).then(|| SiteMotion {
+            along: faces()
+                .into_par_iter()
+                .map(|face| {
+                    let [a, b, c] =
+                        surface.mesh.faces[face].map(|v| surface.directions[v as usize]);
+                    (a + b + c) / 3.0
+                })
+                .collect(),
+            from_m: faces()
+                .into_par_iter()
+                .map(|face| surface.mean_displacement_m(face))
+                .collect(),
+        })
+    }
+
+    /// How far the site of a face moves where all its corners are displaced by a metre, world frame.
+    pub fn along(&self, face: usize) -> &Vector3<f64> {
+        &self.along[face]
+    }
+
+    /// How far the site of a face has moved along [`Self::along`], metres.
+    #[inline]
+    pub fn moved_m(&self, surface: &Surface, face: usize) -> f64 {
+        surface.mean_displacement_m(face) - self.from_m[face]
+    }
+}
