@@ -35,7 +35,7 @@ impl Default for AlignmentParams {
             rotation_sigma_rad: 0.003,
             translation_sigma_m: 0.0015,
             gain_sigma: 0.015,
-            correlation_m: 0.03,
+            correlation_m: 0.04,
             iterations: 3,
         }
     }

@@ -98,7 +98,6 @@ pub struct FaceBlock {
 struct Facet {
     face: usize,
     normal: Vector3<f64>,
-    area: f64,
     albedo: f64,
     moved_m: f64,
 }
@@ -137,7 +136,7 @@ impl Problem<'_> {
     }
 
     fn face_energy(&self, surface: &Surface, albedos: &[f64], face: usize) -> f64 {
-        let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
+        let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
             return 0.0;
         };
         let albedo = self.albedo_of(face, albedos);
@@ -145,7 +144,7 @@ impl Problem<'_> {
         let mut energy = 0.0;
         for seen in self.observations.of(face) {
             if let Some(residual) = seen.moved(moved_m).residual(&normal, albedo) {
-                energy += seen.covered(&normal, area) * self.loss.loss(residual);
+                energy += f64::from(seen.covered) * self.loss.loss(residual);
             }
         }
         energy
@@ -233,13 +232,12 @@ impl Problem<'_> {
         if self.observations.of(face).is_empty() {
             return FaceBlock::default();
         }
-        let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
+        let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
             return FaceBlock::default();
         };
         let facet = Facet {
             face,
             normal,
-            area,
             albedo: self.albedo_of(face, albedos),
             moved_m: self.observations.moved_m(surface, face),
         };
@@ -276,7 +274,7 @@ impl Problem<'_> {
             let Some(residual) = moved.residual(&facet.normal, facet.albedo) else {
                 continue;
             };
-            let weight = self.loss.weight(residual) * seen.covered(&facet.normal, facet.area);
+            let weight = self.loss.weight(residual) * f64::from(seen.covered);
             let row = row(seen);
             block.jtj += row * row.transpose() * weight;
             block.jtr += row * (weight * residual);

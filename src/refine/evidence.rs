@@ -148,13 +148,13 @@ fn tilt_information(
     surface: &Surface,
     (face, albedo): (usize, f64),
 ) -> Matrix3<f64> {
-    let Some((normal, area)) = unit_normal(&surface.mesh, face) else {
+    let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
         return Matrix3::zeros();
     };
     let mut information = Matrix3::zeros();
     for seen in problem.observations.of(face) {
         if let Some(residual) = seen.residual(&normal, albedo) {
-            let weight = problem.loss.weight(residual) * seen.covered(&normal, area);
+            let weight = problem.loss.weight(residual) * f64::from(seen.covered);
             let by_normal = seen.light() * albedo;
             information += by_normal * by_normal.transpose() * weight;
         }

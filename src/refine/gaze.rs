@@ -110,8 +110,8 @@ pub struct Weighed {
     pub observed: Lane,
     /// What arrives, gloss among it.
     pub light: Lanes3,
-    /// Pixels that a square metre covers, by the unit normal.
-    pub pixels_per_m2: Lanes3,
+    /// Pixels that a square metre covers; negative seen from behind.
+    pub pixels_per_m2: Lane,
     /// What changes as the points move.
     pub slopes: Slopes,
 }
@@ -121,7 +121,7 @@ pub struct Weighed {
 pub struct Slopes {
     /// The observed intensity.
     pub image: Lane,
-    /// The prediction for unit albedo, by the light that comes straight.
+    /// The prediction for unit albedo.
     pub light: Lane,
 }
 
@@ -151,8 +151,8 @@ impl<'a> Gaze<'a> {
         self.arch.dispatch(LookAt { gaze: self, points })
     }
 
-    /// The same as the solver needs it, with how it changes as the points move `along` vectors, if they do. Without that the normals
-    /// count on a glossy surface alone.
+    /// The same as the solver needs it of a surface with these normals, with how it changes as the points move `along` vectors, if they
+    /// do.
     pub fn weighed(&self, points: &Lanes3, normals: &Lanes3, along: Option<&Lanes3>) -> Weighed {
         self.arch.dispatch(Weigh {
             gaze: self,
@@ -285,7 +285,7 @@ impl<'a> Gaze<'a> {
         let mut weighed = Weighed {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
-            pixels_per_m2: [[0.0; LANES]; 3],
+            pixels_per_m2: [0.0; LANES],
             slopes: along.map_or_else(Slopes::default, |along| self.slopes(&looks, normals, along)),
         };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
@@ -297,10 +297,10 @@ impl<'a> Gaze<'a> {
             let scale = looks.gain[i] * inv_sigma;
             let light = [0, 1, 2].map(|axis| arriving[axis][i] * scale);
             let light = self.refined.turn_back(light);
-            let covered = self.refined.turn_back([x * per_m2, y * per_m2, z * per_m2]);
+            let normal = self.refined.turn([0, 1, 2].map(|axis| normals[axis][i]));
+            weighed.pixels_per_m2[i] = per_m2 * dot(&normal, &[x, y, z]);
             for axis in 0..3 {
                 weighed.light[axis][i] = light[axis];
-                weighed.pixels_per_m2[axis][i] = covered[axis];
             }
             let observed = looks.observed[i] * inv_sigma;
             weighed.observed[i] = if looks.is_inside[i] {
@@ -317,25 +317,21 @@ impl<'a> Gaze<'a> {
     fn slopes(&self, looks: &Looks, normals: &Lanes3, along: &Lanes3) -> Slopes {
         /// Half a millimetre is a third of a pixel, far from the rounding of its place.
         const STEP_M: f32 = 5e-4;
-        let light: [f32; 3] = self.view.light().position.coords.cast::<f32>().into();
-        let mut ahead = looks.point;
-        let mut slopes = Slopes::default();
+        let (mut ahead, mut m, mut n) = (looks.point, *along, *normals);
         for i in 0..LANES {
-            let m = self.refined.turn([0, 1, 2].map(|axis| along[axis][i]));
-            let n = self.refined.turn([0, 1, 2].map(|axis| normals[axis][i]));
-            let arriving = [0, 1, 2].map(|axis| looks.direct[axis][i]);
-            let v = [0, 1, 2].map(|axis| light[axis] - looks.point[axis][i]);
-            // n·E with E = v/|v|³ and v growing shorter by m.
-            let by_motion = (3.0 * dot(&n, &arriving) * dot(&v, &m)
-                - dot(&arriving, &v) * dot(&n, &m))
-                / dot(&v, &v);
-            slopes.light[i] = by_motion * looks.gain[i] / looks.sigma[i];
+            let turned = |of: &Lanes3| self.refined.turn([0, 1, 2].map(|axis| of[axis][i]));
+            let (motion, normal) = (turned(along), turned(normals));
             for axis in 0..3 {
-                ahead[axis][i] += STEP_M * m[axis];
+                (m[axis][i], n[axis][i]) = (motion[axis], normal[axis]);
+                ahead[axis][i] += STEP_M * motion[axis];
             }
         }
+        let light = self.view.light_table();
+        let by_motion = light.irradiance_along(&looks.point, &looks.direct, &n, &m);
         let (pixel, is_inside) = pixels(self.view.lens(), &ahead);
+        let mut slopes = Slopes::default();
         for i in 0..LANES {
+            slopes.light[i] = by_motion[i] * looks.gain[i] / looks.sigma[i];
             let [du, dv] = [0, 1].map(|axis| pixel[axis][i] - looks.pixel[axis][i]);
             let step = looks.gradient[0][i] * du + looks.gradient[1][i] * dv;
             let slope = step / (STEP_M * looks.sigma[i]);
@@ -543,6 +539,56 @@ mod tests {
     }
 
     #[test]
+    fn slopes_are_what_points_show_that_have_moved() {
+        let view = view_of(poses(0.4)[1]);
+        let gaze = Gaze::new(&view);
+        let (points, normals) = points();
+        let slopes = gaze.weighed(&points, &normals, Some(&normals)).slopes;
+        let moved = |by_m: f32| {
+            let axes = points.iter().zip(&normals);
+            let axes = axes.map(|(p, n)| std::array::from_fn(|lane| p[lane] + by_m * n[lane]));
+            let axes: Vec<Lane> = axes.collect();
+            gaze.looks(&[axes[0], axes[1], axes[2]])
+        };
+        // So near that the same four pixels are looked at, and far enough for single precision.
+        let (image_m, light_m) = (1e-4, 1e-3);
+        let [looks, near, far] = [0.0, image_m, light_m].map(moved);
+        let back = [-image_m, -light_m].map(moved);
+        let mut n_compared = 0;
+        for lane in 0..LANES {
+            let shown = [&looks, &near, &far, &back[0], &back[1]].map(|looks| looks.get(lane));
+            let [
+                Some(look),
+                Some(near),
+                Some(far),
+                Some(near_back),
+                Some(far_back),
+            ] = shown
+            else {
+                continue;
+            };
+            if look.observed.is_nan() || near.observed.is_nan() || near_back.observed.is_nan() {
+                continue;
+            }
+            let n = Vector3::from([0, 1, 2].map(|axis| f64::from(normals[axis][lane])));
+            let n = view.camera_from_world * n;
+            let across =
+                |ahead: f64, back: f64, by_m: f32| (ahead - back) / (2.0 * f64::from(by_m));
+            let image = across(near.observed, near_back.observed, image_m) / look.sigma;
+            let light = across(n.dot(&far.direct), n.dot(&far_back.direct), light_m);
+            let light = light * look.gain / look.sigma;
+            let [of_image, of_light] = [slopes.image[lane], slopes.light[lane]].map(f64::from);
+            assert!((of_light / light - 1.0).abs() < 0.01, "{of_light} {light}");
+            let is_same_cell = near.pixel.map(f64::floor) == near_back.pixel.map(f64::floor);
+            if is_same_cell && image.abs() > 1.0 {
+                n_compared += 1;
+                assert!((of_image / image - 1.0).abs() < 0.02, "{of_image} {image}");
+            }
+        }
+        assert!(n_compared > 5, "{n_compared}");
+    }
+
+    #[test]
     fn what_lies_behind_faces_away_or_grazes_is_not_seen() {
         let view = view_of(Isometry3::identity());
         let gaze = Gaze::new(&view);
@@ -566,9 +612,11 @@ mod tests {
                 arch,
                 ..Gaze::new(&view)
             };
-            let weighed = gaze.weighed(&points, &normals);
-            let lanes = [[weighed.observed; 3], weighed.light, weighed.pixels_per_m2];
-            let bits = lanes.map(|lanes| lanes.map(|lane| lane.map(f32::to_bits)));
+            let weighed = gaze.weighed(&points, &normals, Some(&normals));
+            let Slopes { image, light } = weighed.slopes;
+            let mut lanes = vec![weighed.observed, weighed.pixels_per_m2, image, light];
+            lanes.extend(weighed.light);
+            let bits: Vec<_> = lanes.iter().map(|lane| lane.map(f32::to_bits)).collect();
             (gaze.sees(&points, &normals), bits)
         };
         let levels = arch_levels();

@@ -63,7 +63,8 @@ impl DisplacedNormals {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scenes::{ALBEDO, RippledPlane, solved_from_plane};
+    use super::super::RefineParams;
+    use super::super::scenes::{ALBEDO, RippledPlane, solved};
     use super::super::solver::SolverParams;
     use super::*;
 
@@ -77,7 +78,14 @@ mod tests {
             min_decrease: 0.0,
             max_step_m: 0.001,
         };
-        let (surface, albedo) = solved_from_plane(&hidden, 0.003, 1.02 * ALBEDO, jacobian, &solver);
+        let params = RefineParams {
+            edge_length_m: 0.003,
+            jacobian,
+            ..RefineParams::default()
+        };
+        let plane = RippledPlane { amplitude_m: 0.0 };
+        let start = (plane.mesh(params.edge_length_m), 1.02 * ALBEDO);
+        let (surface, albedo) = solved(&hidden, start, &params, &solver);
         (surface.total_m, albedo)
     }
 

@@ -1,7 +1,7 @@
 //! What every view shows at every site: all of the residual of Eq. (6) but the normals.
 //!
 //! Each image is sampled once a round. Within a solve pixel, distance and light are held (Sec. 4.3), or change in proportion to
-//! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way.
+//! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way. How much of a pixel a facet covers is held.
 
 use super::energy::Surface;
 use super::gaze::{Gaze, Lanes3, Weighed, set_lane};
@@ -22,8 +22,8 @@ pub struct Observation {
     /// Light that arrives, towards the light, in the same unit: its product with the unit normal is the prediction for unit
     /// albedo. World frame.
     light: [f32; 3],
-    /// Pixels that a square metre covers, by the unit normal, world frame.
-    pixels_per_m2: [f32; 3],
+    /// How much the facet counts: the pixels that it covers, at most one.
+    pub covered: f32,
     /// By how much `observed` changes as the site moves, per metre; 0 where pixels are held.
     image_slope: f32,
     /// The same of the prediction for unit albedo.
@@ -35,17 +35,17 @@ impl Observation {
     const NONE: Observation = Observation {
         observed: f32::NAN,
         light: [0.0; 3],
-        pixels_per_m2: [0.0; 3],
+        covered: 0.0,
         image_slope: 0.0,
         light_slope: 0.0,
     };
 
-    fn of_lane(weighed: &Weighed, lane: usize) -> Observation {
+    fn of_lane(weighed: &Weighed, lane: usize, area_m2: f64) -> Observation {
         let of = |lanes: &Lanes3| [0, 1, 2].map(|axis| lanes[axis][lane]);
         Observation {
             observed: weighed.observed[lane],
             light: of(&weighed.light),
-            pixels_per_m2: of(&weighed.pixels_per_m2),
+            covered: (area_m2 as f32 * weighed.pixels_per_m2[lane]).clamp(0.0, 1.0),
             image_slope: weighed.slopes.image[lane],
             light_slope: weighed.slopes.light[lane],
         }
@@ -84,13 +84,6 @@ impl Observation {
     #[inline]
     pub fn by_motion(&self, albedo: f64) -> f64 {
         f64::from(self.image_slope) - albedo * f64::from(self.light_slope)
-    }
-
-    /// How much a facet counts: the pixels that it covers, at most one.
-    #[inline]
-    pub fn covered(&self, normal: &Vector3<f64>, area_m2: f64) -> f64 {
-        let per_m2 = Vector3::from(self.pixels_per_m2.map(f64::from)).dot(normal);
-        (area_m2 * per_m2).clamp(0.0, 1.0)
     }
 }
 
@@ -256,22 +249,22 @@ fn observe(
     let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
     let mut along = motion.map(|_| [[0.0; LANES]; 3]);
     loop {
-        let (mut to, mut n) = ([0; LANES], 0);
+        let (mut to, mut n) = ([(0, 0.0); LANES], 0);
         for (face, slot) in slots.by_ref().take(LANES) {
             set_lane(&mut points, n, &sites.points[face].coords);
             set_lane(&mut normals, n, &sites.normals[face]);
             if let (Some(along), Some(motion)) = (&mut along, motion) {
                 set_lane(along, n, motion.along(face));
             }
-            to[n] = slot;
+            to[n] = (slot, sites.areas_m2[face]);
             n += 1;
         }
         if n == 0 {
             return;
         }
         let weighed = gaze.weighed(&points, &normals, along.as_ref());
-        for (lane, &slot) in to[..n].iter().enumerate() {
-            entries[slot] = Observation::of_lane(&weighed, lane);
+        for (lane, &(slot, area_m2)) in to[..n].iter().enumerate() {
+            entries[slot] = Observation::of_lane(&weighed, lane, area_m2);
         }
     }
 }

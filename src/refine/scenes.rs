@@ -2,7 +2,6 @@
 
 use super::couplings::Couplings;
 use super::energy::{Problem, Surface};
-use super::numeric::JacobianMode;
 use super::observations::Observations;
 use super::optics::Optics;
 use super::rounds::{final_loss, prior_weights, radius_about};
@@ -246,35 +245,32 @@ pub fn surface_of(mesh: TriMesh) -> Surface {
     }
 }
 
-/// What one solve makes of a plane, given in facets of `spacing_m`, and of an albedo to begin with, by views of a `hidden`
+/// What one solve makes of a mesh with edges of `params.edge_length_m`, and of an albedo to begin with, by views of a `hidden`
 /// surface.
-pub fn solved_from_plane(
+pub fn solved(
     hidden: &RippledPlane,
-    spacing_m: f64,
-    albedo: f64,
-    jacobian: JacobianMode,
+    (mesh, albedo): (TriMesh, f64),
+    params: &RefineParams,
     solver: &SolverParams,
 ) -> (Surface, f64) {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
-    let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(spacing_m);
     let views = views(hidden, &mesh, &optics, &poses(0.5));
     let mut surface = surface_of(mesh);
     let sites = Sites::new(&surface.mesh, &views, u64::MAX);
     let edges = EdgeAdjacency::new(&surface.mesh);
-    let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
+    let patches = patches::cut(&surface.mesh, &surface.directions, params.patch_m);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
-    let params = RefineParams::default();
     let motion = SiteMotion::of(&surface, params.linearisation);
     let problem = Problem {
         observations: &Observations::new(&sites, &views, motion),
         labels: &vec![0; surface.mesh.faces.len()],
         tints: &vec![1.0; surface.mesh.faces.len()],
         loss: final_loss(3.0),
-        priors: prior_weights(&params, spacing_m),
+        priors: prior_weights(params, params.edge_length_m),
         patches: &patches,
         edges: &edges,
-        jacobian,
+        jacobian: params.jacobian,
     };
     let pattern = Pattern::new(&surface.mesh.vertices, couplings);
     let mut albedos = vec![albedo];

@@ -72,6 +72,7 @@ impl NearLight {
 #[derive(Clone, Debug)]
 pub struct LightTable {
     position: [f32; 3],
+    power: f32,
     /// Emission at cosines from 0 to 1.
     lobe: Vec<f32>,
 }
@@ -85,6 +86,7 @@ impl LightTable {
         let cosines = (0..=Self::STEPS + 1).map(|k| k as f64 / Self::STEPS as f64);
         LightTable {
             position: light.position.coords.cast::<f32>().into(),
+            power: light.lobe_power as f32,
             lobe: cosines.map(|c| light.lobe(c, 1.0) as f32).collect(),
         }
     }
@@ -119,6 +121,33 @@ impl LightTable {
             }
         }
         v
+    }
+
+    /// [`NearLight::irradiance_by_point`] at many points (m, camera frame), times vectors `along` which they move; `incident` is as of
+    /// [`Self::incident`] there.
+    #[inline(always)]
+    pub fn irradiance_along(
+        &self,
+        points: &[Lane; 3],
+        incident: &[Lane; 3],
+        normals: &[Lane; 3],
+        along: &[Lane; 3],
+    ) -> Lane {
+        let mut by_motion = [0.0; LANES];
+        for i in 0..LANES {
+            let dot =
+                |a: &[Lane; 3], b: &[f32; 3]| a[0][i] * b[0] + a[1][i] * b[1] + a[2][i] * b[2];
+            let v = [0, 1, 2].map(|axis| self.position[axis] - points[axis][i]);
+            let m = [0, 1, 2].map(|axis| along[axis][i]);
+            let irradiance = dot(normals, &[incident[0][i], incident[1][i], incident[2][i]]);
+            let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+            let towards = (3.0 + self.power) * irradiance * dot(along, &v);
+            let tilt = dot(incident, &v) * dot(normals, &m);
+            // Where nothing is lit, nothing changes.
+            let lobe = self.power * irradiance * m[2] / (-v[2]).max(1e-6);
+            by_motion[i] = (towards - tilt) / squared + lobe;
+        }
+        by_motion
     }
 }
 
@@ -165,6 +194,14 @@ mod tests {
                 let exact = light.incident(&Point3::from(at(&points)));
                 let off = (Vector3::from(at(&many)) - exact).norm();
                 assert!(off < 1e-5 * exact.norm(), "{lobe_power}: {off}");
+            }
+            let (normals, along) = ([[0.3; LANES], [-0.2; LANES], [-0.9; LANES]], points);
+            let slopes = table.irradiance_along(&points, &many, &normals, &along);
+            for (lane, slope) in slopes.into_iter().enumerate() {
+                let at = |of: &[Lane; 3]| Vector3::from(of.map(|axis| f64::from(axis[lane])));
+                let by_point = light.irradiance_by_point(&at(&points).into(), &at(&normals));
+                let exact = by_point.dot(&at(&along));
+                assert!((f64::from(slope) - exact).abs() < 1e-4 * by_point.norm());
             }
         }
     }
