@@ -4,7 +4,9 @@ use super::{super::processor_time::process_cpu_secs, Scan, figures};
 use relief::{
     export::Ablation,
     geometry::RayGrid,
-    refine::{AlbedoMode, AlbedoParams, JacobianMode, Judgement, RefineParams, validate},
+    refine::{
+        AlbedoMode, AlbedoParams, JacobianMode, Judgement, Linearisation, RefineParams, validate,
+    },
     shading::Calibration,
 };
 
@@ -70,6 +72,9 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         with("as configured", &|_| {}),
         with("derivatives by differences", &|params| {
             params.jacobian = JacobianMode::Numeric;
+        }),
+        with("pixel, distance and light held", &|params| {
+            params.linearisation = Linearisation::Detail;
         }),
     ];
     for n_learning in N_VIEWS.into_iter().filter(|&n| n < rest.len()) {
