@@ -555,7 +555,8 @@ mod tests {
         let [looks, near, far] = [0.0, image_m, light_m].map(moved);
         let back = [-image_m, -light_m].map(moved);
         let mut n_compared = 0;
-        for lane in 0..LANES {
+        let slopes = slopes.image.iter().zip(&slopes.light).enumerate();
+        for (lane, (&of_image, &of_light)) in slopes {
             let shown = [&looks, &near, &far, &back[0], &back[1]].map(|looks| looks.get(lane));
             let [
                 Some(look),
@@ -570,14 +571,14 @@ mod tests {
             if look.observed.is_nan() || near.observed.is_nan() || near_back.observed.is_nan() {
                 continue;
             }
-            let n = Vector3::from([0, 1, 2].map(|axis| f64::from(normals[axis][lane])));
+            let n = Vector3::from(normals.map(|axis| f64::from(axis[lane])));
             let n = view.camera_from_world * n;
             let across =
                 |ahead: f64, back: f64, by_m: f32| (ahead - back) / (2.0 * f64::from(by_m));
             let image = across(near.observed, near_back.observed, image_m) / look.sigma;
             let light = across(n.dot(&far.direct), n.dot(&far_back.direct), light_m);
             let light = light * look.gain / look.sigma;
-            let [of_image, of_light] = [slopes.image[lane], slopes.light[lane]].map(f64::from);
+            let [of_image, of_light] = [of_image, of_light].map(f64::from);
             assert!((of_light / light - 1.0).abs() < 0.01, "{of_light} {light}");
             let is_same_cell = near.pixel.map(f64::floor) == near_back.pixel.map(f64::floor);
             if is_same_cell && image.abs() > 1.0 {
