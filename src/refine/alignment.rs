@@ -23,7 +23,8 @@ pub struct AlignmentParams {
     /// Standard deviation of a view's gain as a share of 1.
     pub gain_sigma: f64,
     /// Distance over which what the surface and the light model get wrong goes together, metres: the residuals within it
-    /// tell as much as one. Taken for independent, they let views drift along with a surface that is slowly wrong.
+    /// tell as much as one. Taken for independent, they let views drift along with a surface that is slowly wrong. 0.03 to 0.05 are
+    /// as good on most scans; 0.018 makes a head all round worse by a quarter.
     pub correlation_m: f64,
     /// Gauss-Newton steps a round.
     pub iterations: usize,

@@ -279,14 +279,17 @@ impl<'a> Gaze<'a> {
                 sum[i] += indirect[i];
             }
         }
+        let normals = self.turned(normals);
         if self.view.is_glossy() {
-            self.add_gloss(&looks, normals, &mut arriving);
+            self.add_gloss(&looks, &normals, &mut arriving);
         }
         let mut weighed = Weighed {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
             pixels_per_m2: [0.0; LANES],
-            slopes: along.map_or_else(Slopes::default, |along| self.slopes(&looks, normals, along)),
+            slopes: along.map_or_else(Slopes::default, |along| {
+                self.slopes(&looks, &normals, &self.turned(along))
+            }),
         };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
         for i in 0..LANES {
@@ -297,7 +300,7 @@ impl<'a> Gaze<'a> {
             let scale = looks.gain[i] * inv_sigma;
             let light = [0, 1, 2].map(|axis| arriving[axis][i] * scale);
             let light = self.refined.turn_back(light);
-            let normal = self.refined.turn([0, 1, 2].map(|axis| normals[axis][i]));
+            let normal = [0, 1, 2].map(|axis| normals[axis][i]);
             weighed.pixels_per_m2[i] = per_m2 * dot(&normal, &[x, y, z]);
             for axis in 0..3 {
                 weighed.light[axis][i] = light[axis];
@@ -312,22 +315,33 @@ impl<'a> Gaze<'a> {
         weighed
     }
 
-    /// How what is seen changes as points move along vectors. Gain, light over other surfaces and gloss are taken to stay.
+    /// Vectors of the world in the camera frame.
+    #[inline(always)]
+    fn turned(&self, vectors: &Lanes3) -> Lanes3 {
+        let mut turned = [[0.0; LANES]; 3];
+        for i in 0..LANES {
+            let vector = self.refined.turn([0, 1, 2].map(|axis| vectors[axis][i]));
+            for axis in 0..3 {
+                turned[axis][i] = vector[axis];
+            }
+        }
+        turned
+    }
+
+    /// How what is seen changes as points move along vectors, which like the normals are in the camera frame. Gain, light over other
+    /// surfaces and gloss are taken to stay.
     #[inline(always)]
     fn slopes(&self, looks: &Looks, normals: &Lanes3, along: &Lanes3) -> Slopes {
         /// Half a millimetre is a third of a pixel, far from the rounding of its place.
         const STEP_M: f32 = 5e-4;
-        let (mut ahead, mut m, mut n) = (looks.point, *along, *normals);
-        for i in 0..LANES {
-            let turned = |of: &Lanes3| self.refined.turn([0, 1, 2].map(|axis| of[axis][i]));
-            let (motion, normal) = (turned(along), turned(normals));
-            for axis in 0..3 {
-                (m[axis][i], n[axis][i]) = (motion[axis], normal[axis]);
-                ahead[axis][i] += STEP_M * motion[axis];
+        let mut ahead = looks.point;
+        for (ahead, along) in ahead.iter_mut().zip(along) {
+            for i in 0..LANES {
+                ahead[i] += STEP_M * along[i];
             }
         }
         let light = self.view.light_table();
-        let by_motion = light.irradiance_along(&looks.point, &looks.direct, &n, &m);
+        let by_motion = light.irradiance_along(&looks.point, &looks.direct, normals, along);
         let (pixel, is_inside) = pixels(self.view.lens(), &ahead);
         let mut slopes = Slopes::default();
         for i in 0..LANES {
@@ -340,11 +354,10 @@ impl<'a> Gaze<'a> {
         slopes
     }
 
-    /// Adds what gloss sends, as light whose product with the normal has the highlight's value and slope.
+    /// Adds what gloss sends, as light whose product with the normal (camera frame) has the highlight's value and slope.
     fn add_gloss(&self, looks: &Looks, normals: &Lanes3, arriving: &mut Lanes3) {
         for i in 0..LANES {
-            let normal = self.refined.turn([0, 1, 2].map(|axis| normals[axis][i]));
-            let normal = Vector3::from(normal).cast::<f64>();
+            let normal = Vector3::from([0, 1, 2].map(|axis| f64::from(normals[axis][i])));
             let Some(look) = looks.get(i).filter(|_| normal != Vector3::zeros()) else {
                 continue;
             };
