@@ -99,7 +99,7 @@ impl Rounds<'_> {
             views,
             albedo,
         } = state;
-        let observations = self.observe(sites, surface, views);
+        let observations = self.observe(sites, surface, views, None);
         let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
         let problem = self.problem(&observations, albedo, loss);
         let with_images =

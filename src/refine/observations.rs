@@ -5,6 +5,7 @@
 
 use super::energy::Surface;
 use super::gaze::{Gaze, Lanes3, Weighed, set_lane};
+use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
 use super::view::View;
@@ -40,12 +41,17 @@ impl Observation {
         light_slope: 0.0,
     };
 
-    fn of_lane(weighed: &Weighed, lane: usize, area_m2: f64) -> Observation {
+    /// Of a facet in a view, by what the view shows and would show of the facet as it is: what its pixels mix is taken off.
+    fn of_lane(weighed: &Weighed, lane: usize, facet: &Facet) -> Observation {
         let of = |lanes: &Lanes3| [0, 1, 2].map(|axis| lanes[axis][lane]);
+        let light = of(&weighed.light);
+        let facing: f32 = light.iter().zip(&facet.normal).map(|(l, n)| l * n).sum();
+        let mixed = weighed.rendered[lane] - facet.albedo * facing;
+        let mixed = if mixed.is_nan() { 0.0 } else { mixed };
         Observation {
-            observed: weighed.observed[lane],
-            light: of(&weighed.light),
-            covered: (area_m2 as f32 * weighed.pixels_per_m2[lane]).clamp(0.0, 1.0),
+            observed: weighed.observed[lane] - mixed,
+            light,
+            covered: (facet.area_m2 * weighed.pixels_per_m2[lane]).clamp(0.0, 1.0),
             image_slope: weighed.slopes.image[lane],
             light_slope: weighed.slopes.light[lane],
         }
@@ -85,6 +91,14 @@ impl Observation {
     pub fn by_motion(&self, albedo: f64) -> f64 {
         f64::from(self.image_slope) - albedo * f64::from(self.light_slope)
     }
+}
+
+/// A facet as it is looked at.
+#[derive(Clone, Copy, Default)]
+struct Facet {
+    area_m2: f32,
+    normal: [f32; 3],
+    albedo: f32,
 }
 
 /// One site in one view, moved.
@@ -127,14 +141,19 @@ const SCALE_STRIDE: usize = 5;
 const TILE: usize = 2048;
 
 impl Observations {
-    /// Samples every view at the sites that it sees, which may move.
-    pub fn new(sites: &Sites, views: &[View], motion: Option<SiteMotion>) -> Observations {
-        Self::every(1, sites, views, motion)
+    /// Samples every view at the sites that it sees, which may move. What the surface `rendered` shows beside its sites is taken off.
+    pub fn new(
+        sites: &Sites,
+        views: &[View],
+        motion: Option<SiteMotion>,
+        rendered: Option<&Rendered>,
+    ) -> Observations {
+        Self::every(1, sites, views, motion, rendered)
     }
 
     /// As [`Self::new`], for what [`Self::residual_scale`] looks at alone.
     pub fn for_scale(sites: &Sites, views: &[View]) -> Observations {
-        Self::every(SCALE_STRIDE, sites, views, None)
+        Self::every(SCALE_STRIDE, sites, views, None, None)
     }
 
     fn every(
@@ -142,6 +161,7 @@ impl Observations {
         sites: &Sites,
         views: &[View],
         motion: Option<SiteMotion>,
+        rendered: Option<&Rendered>,
     ) -> Observations {
         let n_faces = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
@@ -150,6 +170,7 @@ impl Observations {
             let looked_at = LookedAt {
                 sites,
                 motion: motion.as_ref(),
+                rendered,
             };
             Tile::new(faces, stride, looked_at, &gazes)
         });
@@ -193,6 +214,7 @@ impl Observations {
 struct LookedAt<'a> {
     sites: &'a Sites,
     motion: Option<&'a SiteMotion>,
+    rendered: Option<&'a Rendered<'a>>,
 }
 
 /// What the views show of some faces.
@@ -224,7 +246,7 @@ impl Tile {
                 let before = (set_of(face) & ((1 << k) - 1)).count_ones();
                 (face, (starts[face - faces.start] + before) as usize)
             });
-            observe(gaze, slots, looked_at, &mut entries);
+            observe((k, gaze), slots, looked_at, &mut entries);
         }
         let mut there = 0;
         for start in 0..faces.len() {
@@ -241,30 +263,41 @@ impl Tile {
 
 /// Fills in what a view shows of faces, given with the places of their observations.
 fn observe(
-    gaze: &Gaze,
+    (view, gaze): (usize, &Gaze),
     mut slots: impl Iterator<Item = (usize, usize)>,
-    LookedAt { sites, motion }: LookedAt,
+    looked_at: LookedAt,
     entries: &mut [Observation],
 ) {
+    let LookedAt {
+        sites,
+        motion,
+        rendered,
+    } = looked_at;
+    let image = rendered.and_then(|rendered| rendered.image(view));
     let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
     let mut along = motion.map(|_| [[0.0; LANES]; 3]);
     loop {
-        let (mut to, mut n) = ([(0, 0.0); LANES], 0);
+        let (mut to, mut n) = ([(0, Facet::default()); LANES], 0);
         for (face, slot) in slots.by_ref().take(LANES) {
             set_lane(&mut points, n, &sites.points[face].coords);
             set_lane(&mut normals, n, &sites.normals[face]);
             if let (Some(along), Some(motion)) = (&mut along, motion) {
                 set_lane(along, n, motion.along(face));
             }
-            to[n] = (slot, sites.areas_m2[face]);
+            let facet = Facet {
+                area_m2: sites.areas_m2[face] as f32,
+                normal: sites.normals[face].cast().into(),
+                albedo: rendered.map_or(0.0, |rendered| rendered.albedo[face] as f32),
+            };
+            to[n] = (slot, facet);
             n += 1;
         }
         if n == 0 {
             return;
         }
-        let weighed = gaze.weighed(&points, &normals, along.as_ref());
-        for (lane, &(slot, area_m2)) in to[..n].iter().enumerate() {
-            entries[slot] = Observation::of_lane(&weighed, lane, area_m2);
+        let weighed = gaze.weighed(&points, &normals, along.as_ref(), image);
+        for (lane, (slot, facet)) in to[..n].iter().enumerate() {
+            entries[*slot] = Observation::of_lane(&weighed, lane, facet);
         }
     }
 }

@@ -16,7 +16,7 @@ pub struct RefineParams {
     pub edge_length_m: f64,
     /// A larger object is remeshed more coarsely, so as to have about this many vertices.
     pub max_vertices: usize,
-    /// Outer rounds, Eq. (9).
+    /// Outer rounds, Eq. (9), before the last one.
     pub n_rounds: usize,
     /// Accepted Levenberg–Marquardt steps a round at most.
     pub max_steps: usize,
@@ -30,6 +30,8 @@ pub struct RefineParams {
     pub slope_sigma_rad: f64,
     /// What of the data term follows the displacements within a round.
     pub linearisation: Linearisation,
+    /// Whether the last round takes off what pixels mix of the surface beside each site: [`Rendered`](super::rendering::Rendered).
+    pub integrate_pixels: bool,
     /// How the derivatives of the data term are found; both ways give the same surface.
     pub jacobian: JacobianMode,
     /// Materials told apart by their albedo at most.
@@ -57,6 +59,7 @@ impl Default for RefineParams {
             patch_sigma_m: 0.00018,
             slope_sigma_rad: 0.15,
             linearisation: Linearisation::Full,
+            integrate_pixels: true,
             jacobian: JacobianMode::Analytic,
             max_albedos: 6,
             interreflection: true,

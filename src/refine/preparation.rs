@@ -156,7 +156,7 @@ impl Preparation {
         Ok((state, errors))
     }
 
-    /// Refines from a set of views and lets another judge.
+    /// Refines from a set of views, the last round among it, and lets another judge.
     ///
     /// # Errors
     /// If none of the views learnt from sees the base surface.
@@ -168,7 +168,12 @@ impl Preparation {
     ) -> Result<Vec<JudgedView>, RefineError> {
         let (base, _) = self.base(subject, learning)?;
         let mut state = base.clone();
-        self.run(0..self.params.n_rounds, learning, &mut state, &mut |_| true);
+        self.run(
+            0..self.params.n_rounds + 1,
+            learning,
+            &mut state,
+            &mut |_| true,
+        );
         Ok(self.judge(base, &mut state, judges))
     }
 

@@ -6,6 +6,7 @@ use super::energy::{PriorWeights, Problem, Surface};
 use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
+use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
 use super::solver::{Iteration, RefineStatus, SolverParams, minimise};
@@ -47,7 +48,7 @@ pub fn final_loss(scale: f64) -> Tukey {
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
     pub fn first_albedo(&self, sites: &Sites, views: &[View]) -> Option<Albedo> {
-        let observations = Observations::new(sites, views, None);
+        let observations = Observations::new(sites, views, None, None);
         let mut albedo = self.estimate_albedo(sites, &observations, None)?;
         for _ in 0..3 {
             let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
@@ -110,7 +111,9 @@ impl Rounds<'_> {
         self.align(mesh, sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let observations = self.observe(sites, surface, views);
+        let rendered = (round >= self.params.n_rounds && self.params.integrate_pixels)
+            .then(|| Rendered::new(&surface.mesh, sites, views, &albedo.by_face));
+        let observations = self.observe(sites, surface, views, rendered.as_ref());
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
         if let Some(next) = self.estimate_albedo(sites, &observations, current) {
@@ -193,9 +196,15 @@ impl Rounds<'_> {
 
 impl<'a> Rounds<'a> {
     /// What views show at a surface's sites, and how that changes with its displacements.
-    pub fn observe(&self, sites: &Sites, surface: &Surface, views: &[View]) -> Observations {
+    pub fn observe(
+        &self,
+        sites: &Sites,
+        surface: &Surface,
+        views: &[View],
+        rendered: Option<&Rendered>,
+    ) -> Observations {
         let motion = SiteMotion::of(surface, self.params.linearisation);
-        Observations::new(sites, views, motion)
+        Observations::new(sites, views, motion, rendered)
     }
 
     /// What is solved for displacements.

@@ -263,7 +263,7 @@ pub fn solved(
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let motion = SiteMotion::of(&surface, params.linearisation);
     let problem = Problem {
-        observations: &Observations::new(&sites, &views, motion),
+        observations: &Observations::new(&sites, &views, motion, None),
         labels: &vec![0; surface.mesh.faces.len()],
         tints: &vec![1.0; surface.mesh.faces.len()],
         loss: final_loss(3.0),

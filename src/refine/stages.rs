@@ -45,7 +45,7 @@ impl Stages {
         state.surface.directions = state.surface.mesh.vertex_normals();
         let sites = Sites::new(&state.surface.mesh, &state.views, learning);
         let rounds = prepared.finest();
-        let observations = rounds.observe(&sites, &state.surface, &state.views);
+        let observations = rounds.observe(&sites, &state.surface, &state.views, None);
         let scale = observations.residual_scale(&sites, &state.albedo.by_face);
         Ok(Stages {
             prepared,
@@ -75,7 +75,10 @@ impl Stages {
     /// Samples every image at every facet that it sees; returns the robust scale of the residuals, in sigmas.
     pub fn observe(&self) -> f64 {
         let State { surface, views, .. } = &self.state;
-        let observations = self.prepared.finest().observe(&self.sites, surface, views);
+        let observations = self
+            .prepared
+            .finest()
+            .observe(&self.sites, surface, views, None);
         observations.residual_scale(&self.sites, &self.state.albedo.by_face)
     }
 

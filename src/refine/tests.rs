@@ -65,7 +65,7 @@ fn check_gradient(linearisation: Linearisation) {
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
     let problem = Problem {
-        observations: &Observations::new(&sites, &views, motion),
+        observations: &Observations::new(&sites, &views, motion, None),
         labels: &(0..surface.mesh.faces.len())
             .map(|face| (face % 2) as u8)
             .collect::<Vec<_>>(),

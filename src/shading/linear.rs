@@ -72,8 +72,8 @@ pub fn without_ambient(
     Image::from_vec(counts.width(), counts.height(), pixels.collect())
 }
 
-/// Takes off the footprint's blur; pixels beside a NaN or the border become NaN.
-fn sharpen(image: &Image<f32>) -> Image<f32> {
+/// Takes the footprint's blur off an image as its pixels integrated it; pixels beside a NaN or the border become NaN.
+pub fn sharpen(image: &Image<f32>) -> Image<f32> {
     let (width, height) = (image.width(), image.height());
     let mut out = Image::filled(width, height, f32::NAN);
     for v in 1..height - 1 {
@@ -134,36 +134,15 @@ impl LinearImage {
     /// [`Self::sample`] of many places at once (columns and rows), of which those outside the image are to lie on its first pixel.
     #[inline(always)]
     pub fn samples(&self, u: &Lane, v: &Lane) -> LinearSamples {
-        let width = self.value.width() as i32;
-        let (mut first, mut nearest) = ([0; LANES], [0; LANES]);
-        let (mut along, mut down) = ([0.0; LANES], [0.0; LANES]);
+        let (value, gradient) = between_pixels(&self.value, u, v);
+        let (sigmas, width) = (self.sigma.data(), self.sigma.width() as i32);
+        let mut nearest = [0; LANES];
         for i in 0..LANES {
-            let (column, row) = (floor(u[i]), floor(v[i]));
-            along[i] = u[i] - column as f32;
-            down[i] = v[i] - row as f32;
-            first[i] = row * width + column;
             nearest[i] = floor(v[i] + 0.5) * width + floor(u[i] + 0.5);
         }
-        let mut corners = [[0.0; LANES]; 4];
         let mut sigma = [0.0; LANES];
-        let (values, sigmas) = (self.value.data(), self.sigma.data());
         for i in 0..LANES {
-            let first = first[i] as usize;
-            let below = first + width as usize;
-            corners[0][i] = values[first];
-            corners[1][i] = values[first + 1];
-            corners[2][i] = values[below];
-            corners[3][i] = values[below + 1];
             sigma[i] = sigmas[nearest[i] as usize];
-        }
-        let [a, b, c, d] = &corners;
-        let (mut value, mut gradient) = ([0.0; LANES], [[0.0; LANES]; 2]);
-        for i in 0..LANES {
-            let (across, across_below) = (b[i] - a[i], d[i] - c[i]);
-            let (top, bottom) = (a[i] + across * along[i], c[i] + across_below * along[i]);
-            value[i] = top + (bottom - top) * down[i];
-            gradient[0][i] = across + (across_below - across) * down[i];
-            gradient[1][i] = bottom - top;
         }
         LinearSamples {
             value,
@@ -171,6 +150,41 @@ impl LinearImage {
             sigma,
         }
     }
+}
+
+/// An image and its gradient (per pixel) at many places between its pixels (columns and rows), bilinear; NaN where a pixel is. Places
+/// outside the image are to lie on its first pixel.
+#[inline(always)]
+pub fn between_pixels(image: &Image<f32>, u: &Lane, v: &Lane) -> (Lane, [Lane; 2]) {
+    let width = image.width();
+    let mut first = [0; LANES];
+    let (mut along, mut down) = ([0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        let (column, row) = (floor(u[i]), floor(v[i]));
+        along[i] = u[i] - column as f32;
+        down[i] = v[i] - row as f32;
+        first[i] = row * width as i32 + column;
+    }
+    let mut corners = [[0.0; LANES]; 4];
+    let pixels = image.data();
+    for i in 0..LANES {
+        let first = first[i] as usize;
+        let below = first + width;
+        corners[0][i] = pixels[first];
+        corners[1][i] = pixels[first + 1];
+        corners[2][i] = pixels[below];
+        corners[3][i] = pixels[below + 1];
+    }
+    let [a, b, c, d] = &corners;
+    let (mut value, mut gradient) = ([0.0; LANES], [[0.0; LANES]; 2]);
+    for i in 0..LANES {
+        let (across, across_below) = (b[i] - a[i], d[i] - c[i]);
+        let (top, bottom) = (a[i] + across * along[i], c[i] + across_below * along[i]);
+        value[i] = top + (bottom - top) * down[i];
+        gradient[0][i] = across + (across_below - across) * down[i];
+        gradient[1][i] = bottom - top;
+    }
+    (value, gradient)
 }
 
 #[cfg(test)]

@@ -16,5 +16,5 @@ pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
 pub use gloss::{Gloss, Highlight};
 pub use light::{LightTable, NearLight};
-pub use linear::{LinearImage, LinearSamples, linearise, without_ambient};
+pub use linear::{LinearImage, LinearSamples, between_pixels, linearise, sharpen, without_ambient};
 pub use tukey::{Tukey, median, median_absolute_deviation};

@@ -76,6 +76,12 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         with("pixel, distance and light held", &|params| {
             params.linearisation = Linearisation::Detail;
         }),
+        with(
+            "blur of pixels taken off by its variance alone",
+            &|params| {
+                params.integrate_pixels = false;
+            },
+        ),
     ];
     for n_learning in N_VIEWS.into_iter().filter(|&n| n < rest.len()) {
         let spread = (0..n_learning).map(|k| rest[k * rest.len() / n_learning]);
