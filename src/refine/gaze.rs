@@ -172,6 +172,16 @@ impl<'a> Gaze<'a> {
         })
     }
 
+    /// What the view would show of points (world frame, metres) of a surface of albedo 1 with these normals, linear; NaN outside the
+    /// image and where it is not lit.
+    pub fn predictions(&self, points: &Lanes3, normals: &Lanes3) -> Lane {
+        self.arch.dispatch(Predict {
+            gaze: self,
+            points,
+            normals,
+        })
+    }
+
     /// Where points (world frame, metres) fall, columns and rows; NaN outside the image.
     pub fn pixels_of(&self, points: &[Point3<f64>]) -> Vec<[f32; 2]> {
         let mut places = Vec::with_capacity(points.len());
@@ -302,17 +312,8 @@ impl<'a> Gaze<'a> {
         along: Option<&Lanes3>,
         rendered: Option<&Image<f32>>,
     ) -> Weighed {
-        let looks = self.looks_lanes(points);
-        let mut arriving = looks.direct;
-        for (sum, indirect) in arriving.iter_mut().zip(&looks.indirect) {
-            for i in 0..LANES {
-                sum[i] += indirect[i];
-            }
-        }
-        let normals = self.turned(normals);
-        if self.view.is_glossy() {
-            self.add_gloss(&looks, &normals, &mut arriving);
-        }
+        let (looks, normals) = (self.looks_lanes(points), self.turned(normals));
+        let arriving = self.arriving(&looks, &normals);
         let mut weighed = Weighed {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
@@ -348,6 +349,37 @@ impl<'a> Gaze<'a> {
             };
         }
         weighed
+    }
+
+    #[inline(always)]
+    fn predictions_lanes(&self, points: &Lanes3, normals: &Lanes3) -> Lane {
+        let (looks, normals) = (self.looks_lanes(points), self.turned(normals));
+        let arriving = self.arriving(&looks, &normals);
+        let mut predictions = [f32::NAN; LANES];
+        for i in 0..LANES {
+            let irradiance: f32 = (0..3)
+                .map(|axis| arriving[axis][i] * normals[axis][i])
+                .sum();
+            if looks.is_inside[i] && irradiance > 0.0 {
+                predictions[i] = looks.gain[i] * irradiance;
+            }
+        }
+        predictions
+    }
+
+    /// What arrives, gloss among it, from what is seen of a surface with these normals, camera frame.
+    #[inline(always)]
+    fn arriving(&self, looks: &Looks, normals: &Lanes3) -> Lanes3 {
+        let mut arriving = looks.direct;
+        for (sum, indirect) in arriving.iter_mut().zip(&looks.indirect) {
+            for i in 0..LANES {
+                sum[i] += indirect[i];
+            }
+        }
+        if self.view.is_glossy() {
+            self.add_gloss(looks, normals, &mut arriving);
+        }
+        arriving
     }
 
     /// Points of the world in the camera frame.
@@ -519,6 +551,21 @@ impl WithSimd for LookAt<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Looks {
         self.gaze.looks_lanes(self.points)
+    }
+}
+
+struct Predict<'a> {
+    gaze: &'a Gaze<'a>,
+    points: &'a Lanes3,
+    normals: &'a Lanes3,
+}
+
+impl WithSimd for Predict<'_> {
+    type Output = Lane;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Lane {
+        self.gaze.predictions_lanes(self.points, self.normals)
     }
 }
 

@@ -4,10 +4,11 @@
 //! the prediction is not. Here every pixel is the mean of the facets that the view sees in it. Facets are cut into equal parts,
 //! each of which counts for the pixel that its middle falls on, which needs no search for what is nearest.
 
-use super::gaze::Gaze;
+use super::gaze::{Gaze, set_lane};
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::geometry::lanes::LANES;
 use crate::shading::sharpen;
 use depth_camera::Image;
 use rayon::prelude::*;
@@ -63,16 +64,18 @@ pub fn render(
     let corners = gaze.pixels_of(&mesh.vertices);
     let (width, height) = (view.linear().value.width(), view.linear().value.height());
     let mut sums = Image::filled(width, height, Sum::default());
-    let faces = sites.faces_of(index);
-    let points = faces.iter().map(|&face| &sites.points[face as usize]);
-    gaze.each(points, |index, look| {
-        let face = faces[index] as usize;
-        let normal_camera = view.camera_from_world * sites.normals[face];
-        if let Some(unit) = view.unit_prediction(look, &normal_camera) {
-            let corners = mesh.faces[face].map(|vertex| corners[vertex as usize]);
-            spread(&mut sums, corners, (albedo[face] * unit) as f32);
+    for faces in sites.faces_of(index).chunks(LANES) {
+        let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        for (lane, &face) in faces.iter().enumerate() {
+            set_lane(&mut points, lane, &sites.points[face as usize].coords);
+            set_lane(&mut normals, lane, &sites.normals[face as usize]);
         }
-    });
+        let unit = gaze.predictions(&points, &normals);
+        for (&face, unit) in faces.iter().zip(unit).filter(|(_, unit)| !unit.is_nan()) {
+            let corners = mesh.faces[face as usize].map(|vertex| corners[vertex as usize]);
+            spread(&mut sums, corners, albedo[face as usize] as f32 * unit);
+        }
+    }
     sums.map(|sum| match sum.area_px2 >= COVERED {
         true => sum.intensity / sum.area_px2,
         false => f32::NAN,
