@@ -30,7 +30,8 @@ pub struct RefineParams {
     pub slope_sigma_rad: f64,
     /// What of the data term follows the displacements within a round.
     pub linearisation: Linearisation,
-    /// Whether the last round takes off what pixels mix of the surface beside each site: [`Rendered`](super::rendering::Rendered).
+    /// Whether the last round takes off what pixels mix of the surface beside each site; sharpening by the blur's variance
+    /// is right to second order alone.
     pub integrate_pixels: bool,
     /// How the derivatives of the data term are found; both ways give the same surface.
     pub jacobian: JacobianMode,
