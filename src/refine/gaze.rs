@@ -115,8 +115,15 @@ pub struct Weighed {
     pub pixels_per_m2: Lane,
     /// What changes as the points move.
     pub slopes: Slopes,
-    /// What a given image shows there; NaN where nothing.
-    pub rendered: Lane,
+}
+
+/// A surface as it is: what a view would show of it, and its albedo at some points.
+#[derive(Clone, Copy)]
+pub struct AsItIs<'a> {
+    /// Linear intensity, the pixels' blur taken off; NaN where it is not known.
+    pub image: &'a Image<f32>,
+    /// Albedo at the points.
+    pub albedo: &'a Lane,
 }
 
 /// How what a view shows changes as the points move, per metre and standard deviation of what was observed; 0 where they do not.
@@ -155,20 +162,20 @@ impl<'a> Gaze<'a> {
     }
 
     /// The same as the solver needs it of a surface with these normals, with how it changes as the points move `along` vectors, if they
-    /// do, and with what a `rendered` image shows there, if there is one.
+    /// do. What pixels mix of a surface `as_it_is` beside the points is taken off what is observed.
     pub fn weighed(
         &self,
         points: &Lanes3,
         normals: &Lanes3,
         along: Option<&Lanes3>,
-        rendered: Option<&Image<f32>>,
+        as_it_is: Option<AsItIs>,
     ) -> Weighed {
         self.arch.dispatch(Weigh {
             gaze: self,
             points,
             normals,
             along,
-            rendered,
+            as_it_is,
         })
     }
 
@@ -310,7 +317,7 @@ impl<'a> Gaze<'a> {
         points: &Lanes3,
         normals: &Lanes3,
         along: Option<&Lanes3>,
-        rendered: Option<&Image<f32>>,
+        as_it_is: Option<AsItIs>,
     ) -> Weighed {
         let (looks, normals) = (self.looks_lanes(points), self.turned(normals));
         let arriving = self.arriving(&looks, &normals);
@@ -321,11 +328,10 @@ impl<'a> Gaze<'a> {
             slopes: along.map_or_else(Slopes::default, |along| {
                 self.slopes(&looks, &normals, &self.turned(along))
             }),
-            rendered: [f32::NAN; LANES],
         };
-        let [u, v] = &looks.pixel;
-        let rendered = rendered.map(|image| between_pixels(image, u, v).0);
-        let rendered = rendered.unwrap_or([f32::NAN; LANES]);
+        let mixed = as_it_is.map_or([0.0; LANES], |surface| {
+            mixed(&looks, &normals, &arriving, surface)
+        });
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
         for i in 0..LANES {
             let inv_sigma = 1.0 / looks.sigma[i];
@@ -340,8 +346,7 @@ impl<'a> Gaze<'a> {
             for axis in 0..3 {
                 weighed.light[axis][i] = light[axis];
             }
-            weighed.rendered[i] = rendered[i] * inv_sigma;
-            let observed = looks.observed[i] * inv_sigma;
+            let observed = (looks.observed[i] - mixed[i]) * inv_sigma;
             weighed.observed[i] = if looks.is_inside[i] {
                 observed
             } else {
@@ -449,6 +454,21 @@ impl<'a> Gaze<'a> {
             }
         }
     }
+}
+
+/// By how much an image of a surface as it is differs from the prediction at points of it; 0 where that is not known.
+#[inline(always)]
+fn mixed(looks: &Looks, normals: &Lanes3, arriving: &Lanes3, surface: AsItIs) -> Lane {
+    let [u, v] = &looks.pixel;
+    let (mut mixed, _) = between_pixels(surface.image, u, v);
+    for i in 0..LANES {
+        let irradiance: f32 = (0..3)
+            .map(|axis| arriving[axis][i] * normals[axis][i])
+            .sum();
+        let difference = mixed[i] - surface.albedo[i] * looks.gain[i] * irradiance;
+        mixed[i] = if difference.is_nan() { 0.0 } else { difference };
+    }
+    mixed
 }
 
 /// Writes a vector into a lane.
@@ -588,7 +608,7 @@ struct Weigh<'a> {
     points: &'a Lanes3,
     normals: &'a Lanes3,
     along: Option<&'a Lanes3>,
-    rendered: Option<&'a Image<f32>>,
+    as_it_is: Option<AsItIs<'a>>,
 }
 
 impl WithSimd for Weigh<'_> {
@@ -597,7 +617,7 @@ impl WithSimd for Weigh<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Weighed {
         self.gaze
-            .weighed_lanes(self.points, self.normals, self.along, self.rendered)
+            .weighed_lanes(self.points, self.normals, self.along, self.as_it_is)
     }
 }
 

@@ -4,7 +4,7 @@
 //! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way. How much of a pixel a facet covers is held.
 
 use super::energy::Surface;
-use super::gaze::{Gaze, Lanes3, Weighed, set_lane};
+use super::gaze::{AsItIs, Gaze, Lanes3, Weighed, set_lane};
 use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
@@ -41,17 +41,12 @@ impl Observation {
         light_slope: 0.0,
     };
 
-    /// Of a facet in a view, by what the view shows and would show of the facet as it is: what its pixels mix is taken off.
-    fn of_lane(weighed: &Weighed, lane: usize, facet: &Facet) -> Observation {
+    fn of_lane(weighed: &Weighed, lane: usize, area_m2: f64) -> Observation {
         let of = |lanes: &Lanes3| [0, 1, 2].map(|axis| lanes[axis][lane]);
-        let light = of(&weighed.light);
-        let facing: f32 = light.iter().zip(&facet.normal).map(|(l, n)| l * n).sum();
-        let mixed = weighed.rendered[lane] - facet.albedo * facing;
-        let mixed = if mixed.is_nan() { 0.0 } else { mixed };
         Observation {
-            observed: weighed.observed[lane] - mixed,
-            light,
-            covered: (facet.area_m2 * weighed.pixels_per_m2[lane]).clamp(0.0, 1.0),
+            observed: weighed.observed[lane],
+            light: of(&weighed.light),
+            covered: (area_m2 as f32 * weighed.pixels_per_m2[lane]).clamp(0.0, 1.0),
             image_slope: weighed.slopes.image[lane],
             light_slope: weighed.slopes.light[lane],
         }
@@ -91,14 +86,6 @@ impl Observation {
     pub fn by_motion(&self, albedo: f64) -> f64 {
         f64::from(self.image_slope) - albedo * f64::from(self.light_slope)
     }
-}
-
-/// A facet as it is looked at.
-#[derive(Clone, Copy, Default)]
-struct Facet {
-    area_m2: f32,
-    normal: [f32; 3],
-    albedo: f32,
 }
 
 /// One site in one view, moved.
@@ -276,28 +263,31 @@ fn observe(
     let image = rendered.and_then(|rendered| rendered.image(view));
     let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
     let mut along = motion.map(|_| [[0.0; LANES]; 3]);
+    let mut albedo = [0.0; LANES];
     loop {
-        let (mut to, mut n) = ([(0, Facet::default()); LANES], 0);
+        let (mut to, mut n) = ([(0, 0.0); LANES], 0);
         for (face, slot) in slots.by_ref().take(LANES) {
             set_lane(&mut points, n, &sites.points[face].coords);
             set_lane(&mut normals, n, &sites.normals[face]);
             if let (Some(along), Some(motion)) = (&mut along, motion) {
                 set_lane(along, n, motion.along(face));
             }
-            let facet = Facet {
-                area_m2: sites.areas_m2[face] as f32,
-                normal: sites.normals[face].cast().into(),
-                albedo: rendered.map_or(0.0, |rendered| rendered.albedo[face] as f32),
-            };
-            to[n] = (slot, facet);
+            if let Some(rendered) = rendered {
+                albedo[n] = rendered.albedo[face] as f32;
+            }
+            to[n] = (slot, sites.areas_m2[face]);
             n += 1;
         }
         if n == 0 {
             return;
         }
-        let weighed = gaze.weighed(&points, &normals, along.as_ref(), image);
-        for (lane, (slot, facet)) in to[..n].iter().enumerate() {
-            entries[*slot] = Observation::of_lane(&weighed, lane, facet);
+        let as_it_is = image.map(|image| AsItIs {
+            image,
+            albedo: &albedo,
+        });
+        let weighed = gaze.weighed(&points, &normals, along.as_ref(), as_it_is);
+        for (lane, &(slot, area_m2)) in to[..n].iter().enumerate() {
+            entries[slot] = Observation::of_lane(&weighed, lane, area_m2);
         }
     }
 }
