@@ -29,7 +29,7 @@ trap 'rm -rf "$folder"' EXIT
 valgrind --tool=callgrind "--callgrind-out-file=$folder/counts" "$program" refine "$folder/scan" --out "$folder/refined" --threads 1 >/dev/null 2>&1
 callgrind_annotate --inclusive=yes --auto=no "$folder/counts" >"$folder/functions"
 for kernel in refine::refine geometry::rasterise::rasterise refine::sites::Sites::new refine::observations::Observations::every \
-    refine::alignment::align_view refine::energy::Problem::linearise refine::cholesky::Analysis::factorise; do
+    refine::rendering::render refine::alignment::align_view refine::energy::Problem::linearise refine::cholesky::Analysis::factorise; do
     # A function has a line for each file that is inlined into it; the first has the most.
     awk -v kernel=":relief::$kernel" '
         { at = index($0, kernel); rest = substr($0, at + length(kernel)) }
