@@ -283,7 +283,11 @@ impl<'a> Gaze<'a> {
         let [u, v] = &pixel;
         let shown = view.linear().samples(u, v);
         let mut gain = view.gain_field.at_lanes(u, v);
-        let indirect = view.white.map(|white| view.indirect().at(u, v, white));
+        // As below, no closure.
+        let indirect = match view.white {
+            Some(white) => view.indirect().at(u, v, white),
+            None => [[0.0; LANES]; 3],
+        };
         let whole = view.gain as f32;
         let (model, place) = (trust.model_error as f32, trust.misregistration_px as f32);
         let mut sigma = [0.0; LANES];
@@ -302,7 +306,7 @@ impl<'a> Gaze<'a> {
             sigma,
             gain,
             direct: view.light_table().incident(&point),
-            indirect: indirect.unwrap_or([[0.0; LANES]; 3]),
+            indirect,
             point,
         }
     }
@@ -325,13 +329,16 @@ impl<'a> Gaze<'a> {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
             pixels_per_m2: [0.0; LANES],
-            slopes: along.map_or_else(Slopes::default, |along| {
-                self.slopes(&looks, &normals, &self.turned(along))
-            }),
+            // No closure of an `Option`, which would be compiled without vector instructions.
+            slopes: match along {
+                Some(along) => self.slopes(&looks, &normals, &self.turned(along)),
+                None => Slopes::default(),
+            },
         };
-        let mixed = as_it_is.map_or([0.0; LANES], |surface| {
-            mixed(&looks, &normals, &arriving, surface)
-        });
+        let mixed = match as_it_is {
+            Some(surface) => mixed(&looks, &normals, &arriving, surface),
+            None => [0.0; LANES],
+        };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
         for i in 0..LANES {
             let inv_sigma = 1.0 / looks.sigma[i];
@@ -360,13 +367,11 @@ impl<'a> Gaze<'a> {
     fn predictions_lanes(&self, points: &Lanes3, normals: &Lanes3) -> Lane {
         let (looks, normals) = (self.looks_lanes(points), self.turned(normals));
         let arriving = self.arriving(&looks, &normals);
+        let irradiance = dots(&arriving, &normals);
         let mut predictions = [f32::NAN; LANES];
         for i in 0..LANES {
-            let irradiance: f32 = (0..3)
-                .map(|axis| arriving[axis][i] * normals[axis][i])
-                .sum();
-            if looks.is_inside[i] && irradiance > 0.0 {
-                predictions[i] = looks.gain[i] * irradiance;
+            if looks.is_inside[i] && irradiance[i] > 0.0 {
+                predictions[i] = looks.gain[i] * irradiance[i];
             }
         }
         predictions
@@ -390,27 +395,13 @@ impl<'a> Gaze<'a> {
     /// Points of the world in the camera frame.
     #[inline(always)]
     fn placed(&self, points: &Lanes3) -> Lanes3 {
-        let mut placed = [[0.0; LANES]; 3];
-        for i in 0..LANES {
-            let point = self.refined.point([0, 1, 2].map(|axis| points[axis][i]));
-            for axis in 0..3 {
-                placed[axis][i] = point[axis];
-            }
-        }
-        placed
+        by_lane(points, |point| self.refined.point(point))
     }
 
     /// Vectors of the world in the camera frame.
     #[inline(always)]
     fn turned(&self, vectors: &Lanes3) -> Lanes3 {
-        let mut turned = [[0.0; LANES]; 3];
-        for i in 0..LANES {
-            let vector = self.refined.turn([0, 1, 2].map(|axis| vectors[axis][i]));
-            for axis in 0..3 {
-                turned[axis][i] = vector[axis];
-            }
-        }
-        turned
+        by_lane(vectors, |vector| self.refined.turn(vector))
     }
 
     /// How what is seen changes as points move along vectors, which like the normals are in the camera frame. Gain, light over other
@@ -461,11 +452,9 @@ impl<'a> Gaze<'a> {
 fn mixed(looks: &Looks, normals: &Lanes3, arriving: &Lanes3, surface: AsItIs) -> Lane {
     let [u, v] = &looks.pixel;
     let (mut mixed, _) = between_pixels(surface.image, u, v);
+    let irradiance = dots(arriving, normals);
     for i in 0..LANES {
-        let irradiance: f32 = (0..3)
-            .map(|axis| arriving[axis][i] * normals[axis][i])
-            .sum();
-        let difference = mixed[i] - surface.albedo[i] * looks.gain[i] * irradiance;
+        let difference = mixed[i] - surface.albedo[i] * looks.gain[i] * irradiance[i];
         mixed[i] = if difference.is_nan() { 0.0 } else { difference };
     }
     mixed
@@ -477,6 +466,29 @@ pub fn set_lane(lanes: &mut Lanes3, lane: usize, value: &Vector3<f64>) {
     for axis in 0..3 {
         lanes[axis][lane] = value[axis] as f32;
     }
+}
+
+/// Vectors one by one as a function has them.
+#[inline(always)]
+fn by_lane(vectors: &Lanes3, of: impl Fn([f32; 3]) -> [f32; 3]) -> Lanes3 {
+    let mut out = [[0.0; LANES]; 3];
+    for i in 0..LANES {
+        let vector = of([0, 1, 2].map(|axis| vectors[axis][i]));
+        for axis in 0..3 {
+            out[axis][i] = vector[axis];
+        }
+    }
+    out
+}
+
+/// Scalar products of vectors.
+#[inline(always)]
+fn dots(a: &Lanes3, b: &Lanes3) -> Lane {
+    let mut products = [0.0; LANES];
+    for i in 0..LANES {
+        products[i] = a[0][i] * b[0][i] + a[1][i] * b[1][i] + a[2][i] * b[2][i];
+    }
+    products
 }
 
 #[inline(always)]

@@ -97,10 +97,11 @@ impl Rounds<'_> {
         } = state;
         surface.directions = surface.mesh.vertex_normals();
         let [first, middle, last] = CUTOFFS;
+        let is_last = round >= self.params.n_rounds;
         let cutoff = match round {
             0 => first,
-            round if round < self.params.n_rounds => middle,
-            _ => last,
+            _ if is_last => last,
+            _ => middle,
         };
         let mesh = &surface.mesh;
         let loss_of = |observations: &Observations, albedo: &Albedo| Tukey {
@@ -111,7 +112,7 @@ impl Rounds<'_> {
         self.align(mesh, sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let rendered = (round >= self.params.n_rounds && self.params.integrate_pixels)
+        let rendered = (is_last && self.params.integrate_pixels)
             .then(|| Rendered::new(&surface.mesh, sites, views, &albedo.by_face));
         let observations = self.observe(sites, surface, views, rendered.as_ref());
         let loss = loss_of(&observations, albedo);

@@ -207,7 +207,7 @@ impl View {
     }
 
     /// `gain · field · (n·E + highlight)` at a place, with E as of [`Look::arriving`]: the prediction for unit albedo. `None` where it is not lit.
-    pub fn unit_prediction(&self, look: &Look, normal_camera: &Vector3<f64>) -> Option<f64> {
+    fn unit_prediction(&self, look: &Look, normal_camera: &Vector3<f64>) -> Option<f64> {
         let matte = normal_camera.dot(&look.arriving());
         let irradiance = matte + self.highlight(look, normal_camera).value;
         (irradiance > 0.0).then_some(look.gain * irradiance)
