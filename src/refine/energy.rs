@@ -1,17 +1,19 @@
-//! The energy of Eq. (5): data term Eq. (6) at face sites over all views, smoothness Eq. (7) and anchor Eq. (8) on the
+//! The energy of Eq. (5): data term Eq. (6) at all sites over all views, smoothness Eq. (7) and anchor Eq. (8) on the
 //! total displacement; its value, and its normal equations by the displacements along fixed directions.
 //!
 //! A face site has the facet's own normal, so that each residual touches three displacements: `∂N/∂δ_a = m_a × (b − c)`
 //! for `N = (b − a) × (c − a)`, and `∂n = (I − n nᵀ)/|N| ∂N`. All views of a site share that pattern and are summed into
-//! one 3×3 block. Sums run over fixed tiles, in order.
+//! one 3×3 block. Sites at vertices touch more ([`VertexSystem`]). Sums run over fixed tiles, in order.
 
 use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
 use super::observations::{Observation, Observations};
 use super::patches::Patch;
+use super::sites::SiteKind;
+use super::vertex_system::VertexSystem;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
 
 /// Weights of the priors, in units of the surface.
@@ -38,11 +40,13 @@ pub struct Surface {
 
 /// What stays fixed while displacements are solved for.
 pub struct Problem<'a> {
-    /// What the views show at each face: sampled and lit at its centroid at the start of the round.
+    /// Where the residuals are.
+    pub sites: SiteKind,
+    /// What the views show at each site: sampled and lit where it was at the start of the round.
     pub observations: &'a Observations,
-    /// Group of albedo of each face.
+    /// Group of albedo of each site.
     pub labels: &'a [u8],
-    /// By which factor the albedo of each face differs from its group's.
+    /// By which factor the albedo of each site differs from its group's.
     pub tints: &'a [f64],
     /// Scale of the residuals in sigmas, and the Tukey cut-off in that scale.
     pub loss: Tukey,
@@ -52,7 +56,7 @@ pub struct Problem<'a> {
     pub patches: &'a [Patch],
     /// Edges of the mesh.
     pub edges: &'a EdgeAdjacency,
-    /// How the derivatives of the data term are found.
+    /// How the derivatives of the data term are found; those at vertices are exact.
     pub jacobian: JacobianMode,
 }
 
@@ -67,9 +71,12 @@ pub struct NormalMatrix {
     pub gradient: Vec<f64>,
     /// One for each group of albedo.
     pub groups: Vec<GroupTerms>,
+    /// The data term of sites at vertices, which couples more than edges: `diagonal` and `off_diagonal` then have an upper bound
+    /// of it in its place.
+    pub at_vertices: Option<VertexSystem>,
 }
 
-/// What the normal equations hold of the logarithm of one group's albedo. Groups share no face and so do not couple.
+/// What the normal equations hold of the logarithm of one group's albedo. Groups share no site and so do not couple.
 #[derive(Clone, Debug)]
 pub struct GroupTerms {
     /// With itself.
@@ -80,41 +87,99 @@ pub struct GroupTerms {
     pub gradient: f64,
 }
 
-/// Faces in a tile of a sum.
-const TILE: usize = 2048;
+/// Sites in a tile of a sum.
+pub const TILE: usize = 2048;
 
-/// One facet's block of the normal equations.
-#[derive(Clone, Copy, Default)]
-pub struct FaceBlock {
-    /// By the displacements of its corners.
-    pub jtj: Matrix3<f64>,
-    /// Derivative of the energy by them.
-    pub jtr: Vector3<f64>,
-    /// The same sums with the logarithm of the albedo in the place of one displacement, of both, and its derivative.
-    pub by_albedo: (Vector3<f64>, f64, f64),
+/// What the views of one site add to the normal equations.
+#[derive(Clone, Copy)]
+pub struct Block<const N: usize> {
+    /// By what the residuals depend on: a face's on the displacements of its corners, a vertex's on its unit normal and its
+    /// displacement.
+    pub jtj: SMatrix<f64, N, N>,
+    /// Derivative of the energy by that.
+    pub jtr: SVector<f64, N>,
+    /// The same sums with the logarithm of the albedo in the place of one of these, of both, and its derivative.
+    pub by_albedo: (SVector<f64, N>, f64, f64),
 }
 
-/// A face as the views are asked about it.
-struct Facet {
-    face: usize,
-    normal: Vector3<f64>,
-    albedo: f64,
+impl<const N: usize> Default for Block<N> {
+    fn default() -> Self {
+        Block {
+            jtj: SMatrix::zeros(),
+            jtr: SVector::zeros(),
+            by_albedo: (SVector::zeros(), 0.0, 0.0),
+        }
+    }
+}
+
+/// A site as the views are asked about it.
+pub struct Site {
+    index: usize,
+    /// Unit normal.
+    pub normal: Vector3<f64>,
+    /// Albedo.
+    pub albedo: f64,
     moved_m: f64,
+}
+
+/// Unit normals of a surface's sites.
+enum Normals<'a> {
+    OfFaces(&'a TriMesh),
+    OfVertices(Vec<Vector3<f64>>),
+}
+
+impl Normals<'_> {
+    /// Of a site; `None` where it has no area.
+    #[inline]
+    fn unit(&self, site: usize) -> Option<Vector3<f64>> {
+        match self {
+            Normals::OfFaces(mesh) => unit_normal(mesh, site).map(|(normal, _)| normal),
+            Normals::OfVertices(normals) => {
+                Some(normals[site]).filter(|normal| *normal != Vector3::zeros())
+            }
+        }
+    }
 }
 
 impl Problem<'_> {
     /// Energy of the surface with the groups' albedos.
     pub fn energy(&self, surface: &Surface, albedos: &[f64]) -> f64 {
-        let data: Vec<f64> = (0..surface.mesh.faces.len().div_ceil(TILE))
+        let (n_sites, normals) = (self.labels.len(), self.normals(&surface.mesh));
+        let data: Vec<f64> = (0..n_sites.div_ceil(TILE))
             .into_par_iter()
             .map(|tile| {
-                let end = ((tile + 1) * TILE).min(surface.mesh.faces.len());
-                (tile * TILE..end)
-                    .map(|face| self.face_energy(surface, albedos, face))
-                    .sum()
+                let sites = tile * TILE..((tile + 1) * TILE).min(n_sites);
+                let energy = |index| {
+                    let normal = normals.unit(index)?;
+                    Some(self.energy_of(&self.site(surface, albedos, index, normal)))
+                };
+                sites.filter_map(energy).sum()
             })
             .collect();
         data.iter().sum::<f64>() + self.prior_energy(&surface.total_m)
+    }
+
+    fn normals<'m>(&self, mesh: &'m TriMesh) -> Normals<'m> {
+        match self.sites {
+            SiteKind::Face => Normals::OfFaces(mesh),
+            SiteKind::Vertex => Normals::OfVertices(mesh.vertex_normals()),
+        }
+    }
+
+    /// A site as it is now.
+    pub fn site(
+        &self,
+        surface: &Surface,
+        albedos: &[f64],
+        index: usize,
+        normal: Vector3<f64>,
+    ) -> Site {
+        Site {
+            index,
+            normal,
+            albedo: albedos[self.labels[index] as usize] * self.tints[index],
+            moved_m: self.observations.moved_m(surface, index),
+        }
     }
 
     fn prior_energy(&self, total_m: &[f64]) -> f64 {
@@ -135,23 +200,15 @@ impl Problem<'_> {
             + self.priors.smoothness * smoothness)
     }
 
-    fn face_energy(&self, surface: &Surface, albedos: &[f64], face: usize) -> f64 {
-        let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
-            return 0.0;
-        };
-        let albedo = self.albedo_of(face, albedos);
-        let moved_m = self.observations.moved_m(surface, face);
+    fn energy_of(&self, site: &Site) -> f64 {
         let mut energy = 0.0;
-        for seen in self.observations.of(face) {
-            if let Some(residual) = seen.moved(moved_m).residual(&normal, albedo) {
+        for seen in self.observations.of(site.index) {
+            let moved = seen.moved(site.moved_m);
+            if let Some(residual) = moved.residual(&site.normal, site.albedo) {
                 energy += f64::from(seen.covered) * self.loss.loss(residual);
             }
         }
         energy
-    }
-
-    fn albedo_of(&self, face: usize, albedos: &[f64]) -> f64 {
-        albedos[self.labels[face] as usize] * self.tints[face]
     }
 
     /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held.
@@ -161,11 +218,6 @@ impl Problem<'_> {
         albedos: &[f64],
         couplings: &Couplings,
     ) -> NormalMatrix {
-        let blocks: Vec<FaceBlock> = (0..surface.mesh.faces.len())
-            .into_par_iter()
-            .with_min_len(TILE)
-            .map(|face| self.face_block(surface, albedos, face))
-            .collect();
         let mut matrix = self.prior_matrix(&surface.total_m, couplings);
         let nothing = GroupTerms {
             diagonal: 0.0,
@@ -173,6 +225,29 @@ impl Problem<'_> {
             gradient: 0.0,
         };
         matrix.groups = vec![nothing; albedos.len()];
+        match self.sites {
+            SiteKind::Face => self.add_faces(surface, albedos, couplings, &mut matrix),
+            SiteKind::Vertex => {
+                let system = VertexSystem::new(self, surface, albedos);
+                system.add_bound(self, surface, couplings, &mut matrix);
+                matrix.at_vertices = Some(system);
+            }
+        }
+        matrix
+    }
+
+    fn add_faces(
+        &self,
+        surface: &Surface,
+        albedos: &[f64],
+        couplings: &Couplings,
+        matrix: &mut NormalMatrix,
+    ) {
+        let blocks: Vec<Block<3>> = (0..surface.mesh.faces.len())
+            .into_par_iter()
+            .with_min_len(TILE)
+            .map(|face| self.face_block(surface, albedos, face))
+            .collect();
         let faces = surface.mesh.faces.iter().zip(self.labels);
         for (((face, &label), block), sides) in faces.zip(&blocks).zip(&couplings.of_faces) {
             let group = &mut matrix.groups[label as usize];
@@ -187,7 +262,6 @@ impl Problem<'_> {
                 group.coupling[face[corner] as usize] += coupling[corner];
             }
         }
-        matrix
     }
 
     /// Eq. (7) and (8), which are all that is known without images.
@@ -202,6 +276,7 @@ impl Problem<'_> {
             off_diagonal: vec![0.0; couplings.pairs.len()],
             gradient: total_m.iter().map(|t| rest * t).collect(),
             groups: Vec::new(),
+            at_vertices: None,
         };
         for (&[i, j], &entry) in self.edges.edges.iter().zip(&couplings.of_edges) {
             let (i, j) = (i as usize, j as usize);
@@ -227,20 +302,38 @@ impl Problem<'_> {
         matrix
     }
 
+    /// The product of [`Self::prior_matrix`] with a vector.
+    pub fn prior_times(&self, x: &[f64]) -> Vec<f64> {
+        let PriorWeights {
+            anchor,
+            rest,
+            smoothness,
+        } = self.priors;
+        let mut product: Vec<f64> = x.iter().map(|x| rest * x).collect();
+        for &[i, j] in &self.edges.edges {
+            let (i, j) = (i as usize, j as usize);
+            let slope = smoothness * (x[i] - x[j]);
+            product[i] += slope;
+            product[j] -= slope;
+        }
+        for patch in self.patches {
+            let pull = anchor / patch.len() as f64 * mean_of(patch, x);
+            for &vertex in patch {
+                product[vertex as usize] += pull;
+            }
+        }
+        product
+    }
+
     /// What the views say of one facet.
-    pub fn face_block(&self, surface: &Surface, albedos: &[f64], face: usize) -> FaceBlock {
+    pub fn face_block(&self, surface: &Surface, albedos: &[f64], face: usize) -> Block<3> {
         if self.observations.of(face).is_empty() {
-            return FaceBlock::default();
+            return Block::default();
         }
         let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
-            return FaceBlock::default();
+            return Block::default();
         };
-        let facet = Facet {
-            face,
-            normal,
-            albedo: self.albedo_of(face, albedos),
-            moved_m: self.observations.moved_m(surface, face),
-        };
+        let facet = self.site(surface, albedos, face, normal);
         let albedo = facet.albedo;
         match self.jacobian {
             JacobianMode::Analytic => {
@@ -256,22 +349,22 @@ impl Problem<'_> {
                 Some(displaced) => {
                     self.sum_over_views(&facet, |seen| displaced.row(seen, albedo, facet.moved_m))
                 }
-                None => FaceBlock::default(),
+                None => Block::default(),
             },
         }
     }
 
-    /// Sums what the views say of a face; `row` gives the derivatives of a residual by the displacements of the corners.
+    /// Sums what the views say of a site; `row` gives the derivatives of a residual.
     #[inline]
-    fn sum_over_views(
+    pub fn sum_over_views<const N: usize>(
         &self,
-        facet: &Facet,
-        row: impl Fn(&Observation) -> Vector3<f64>,
-    ) -> FaceBlock {
-        let mut block = FaceBlock::default();
-        for seen in self.observations.of(facet.face) {
-            let moved = seen.moved(facet.moved_m);
-            let Some(residual) = moved.residual(&facet.normal, facet.albedo) else {
+        site: &Site,
+        row: impl Fn(&Observation) -> SVector<f64, N>,
+    ) -> Block<N> {
+        let mut block = Block::default();
+        for seen in self.observations.of(site.index) {
+            let moved = seen.moved(site.moved_m);
+            let Some(residual) = moved.residual(&site.normal, site.albedo) else {
                 continue;
             };
             let weight = self.loss.weight(residual) * f64::from(seen.covered);
@@ -301,13 +394,17 @@ fn normal_by_displacement(
     face: usize,
     normal: &Vector3<f64>,
 ) -> [Vector3<f64>; 3] {
-    let corners = surface.mesh.corners(face);
     let inv_norm = 1.0 / surface.mesh.face_normal(face).norm();
+    area_vector_by_displacement(surface, face)
+        .map(|change| (change - normal * normal.dot(&change)) * inv_norm)
+}
+
+/// Derivatives of [`area_vector`](crate::geometry::area_vector) of a face by the displacements of its corners, m.
+pub fn area_vector_by_displacement(surface: &Surface, face: usize) -> [Vector3<f64>; 3] {
+    let corners = surface.mesh.corners(face);
     std::array::from_fn(|corner| {
         let direction = surface.directions[surface.mesh.faces[face][corner] as usize];
-        let opposite = corners[(corner + 1) % 3] - corners[(corner + 2) % 3];
-        let change = direction.cross(&opposite);
-        (change - normal * normal.dot(&change)) * inv_norm
+        direction.cross(&(corners[(corner + 1) % 3] - corners[(corner + 2) % 3]))
     })
 }
 
@@ -321,11 +418,16 @@ fn mean_of(patch: &Patch, total_m: &[f64]) -> f64 {
 }
 
 impl Surface {
-    /// Displacement of a face's centroid from the base mesh so far, metres.
+    /// Displacement of a site from the base mesh so far, metres.
     #[inline]
-    pub fn mean_displacement_m(&self, face: usize) -> f64 {
-        let [a, b, c] = self.mesh.faces[face].map(|vertex| self.total_m[vertex as usize]);
-        (a + b + c) / 3.0
+    pub fn displacement_m(&self, kind: SiteKind, site: usize) -> f64 {
+        match kind {
+            SiteKind::Face => {
+                let [a, b, c] = self.mesh.faces[site].map(|vertex| self.total_m[vertex as usize]);
+                (a + b + c) / 3.0
+            }
+            SiteKind::Vertex => self.total_m[site],
+        }
     }
 
     /// The surface with every vertex moved along its direction.

@@ -108,7 +108,8 @@ fn light_of_the_room_does_not_bend_the_surface_where_it_was_measured() {
         let pairs = dark.mesh.vertices.iter().zip(&refinement.mesh.vertices);
         pairs.fold(0.0f64, |far, (a, b)| far.max((a - b).norm()))
     };
-    assert!(farthest(&lit) < 1e-6, "{} m", farthest(&lit));
+    // Counts are rounded otherwise, which may show a vertex to one view more.
+    assert!(farthest(&lit) < 2e-5, "{} m", farthest(&lit));
     match refine_from(&base, |_, snapshot| light_the_room(snapshot, false)) {
         Ok(bent) => assert!(farthest(&bent) > 5e-5, "{} m", farthest(&bent)),
         Err(error) => assert!(

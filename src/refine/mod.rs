@@ -51,6 +51,7 @@ pub mod stages;
 #[cfg(test)]
 mod tests;
 mod tint;
+mod vertex_system;
 mod view;
 
 pub use albedo::{AlbedoMode, AlbedoParams};
@@ -68,6 +69,7 @@ pub use preparation::{Subject, contradiction_as_tracked};
 pub use self_calibration::{Contradiction, SelfCalibrationParams};
 pub use single_view::surface_of_view;
 pub use site_motion::Linearisation;
+pub use sites::SiteKind;
 pub use solver::{Iteration, RefineStatus, Step};
 pub use view::{HIDING_CELL_M, ImageTrust};
 

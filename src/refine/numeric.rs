@@ -65,6 +65,7 @@ impl DisplacedNormals {
 mod tests {
     use super::super::RefineParams;
     use super::super::scenes::{ALBEDO, RippledPlane, solved};
+    use super::super::sites::SiteKind;
     use super::super::solver::SolverParams;
     use super::*;
 
@@ -80,6 +81,7 @@ mod tests {
         };
         let params = RefineParams {
             edge_length_m: 0.003,
+            sites: SiteKind::Face,
             jacobian,
             ..RefineParams::default()
         };

@@ -5,7 +5,7 @@
 
 use super::energy::Surface;
 use super::gaze::{AsItIs, Gaze, Lanes3, Weighed, set_lane};
-use super::rendering::Rendered;
+use super::rendering::RenderedAt;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
 use super::view::View;
@@ -133,7 +133,7 @@ impl Observations {
         sites: &Sites,
         views: &[View],
         motion: Option<SiteMotion>,
-        rendered: Option<&Rendered>,
+        rendered: Option<RenderedAt>,
     ) -> Observations {
         Self::every(1, sites, views, motion, rendered)
     }
@@ -148,7 +148,7 @@ impl Observations {
         sites: &Sites,
         views: &[View],
         motion: Option<SiteMotion>,
-        rendered: Option<&Rendered>,
+        rendered: Option<RenderedAt>,
     ) -> Observations {
         let n_faces = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
@@ -201,7 +201,7 @@ impl Observations {
 struct LookedAt<'a> {
     sites: &'a Sites,
     motion: Option<&'a SiteMotion>,
-    rendered: Option<&'a Rendered<'a>>,
+    rendered: Option<RenderedAt<'a>>,
 }
 
 /// What the views show of some faces.

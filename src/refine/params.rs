@@ -5,6 +5,7 @@ use super::alignment::AlignmentParams;
 use super::numeric::JacobianMode;
 use super::self_calibration::SelfCalibrationParams;
 use super::site_motion::Linearisation;
+use super::sites::SiteKind;
 use super::view::ImageTrust;
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +29,8 @@ pub struct RefineParams {
     pub patch_sigma_m: f64,
     /// Standard deviation of the slope of the displacement, radians: Eq. (7). 0.15 and 0.3 give the same surface.
     pub slope_sigma_rad: f64,
+    /// Where the data term has its residuals while displacements are solved for; albedo, poses and gains are found at the facets.
+    pub sites: SiteKind,
     /// What of the data term follows the displacements within a round.
     pub linearisation: Linearisation,
     /// Whether the last round takes off what pixels mix of the surface beside each site; sharpening by the blur's variance
@@ -59,6 +62,7 @@ impl Default for RefineParams {
             patch_m: 0.02,
             patch_sigma_m: 0.00018,
             slope_sigma_rad: 0.15,
+            sites: SiteKind::Vertex,
             linearisation: Linearisation::Full,
             integrate_pixels: true,
             jacobian: JacobianMode::Analytic,
@@ -143,6 +147,9 @@ impl RefineParams {
             if !(value >= low && value <= high) {
                 return Err(format!("refine.{key} is {value}, must be {low} to {high}"));
             }
+        }
+        if self.jacobian == JacobianMode::Numeric && self.sites != SiteKind::Face {
+            return Err("refine.jacobian is \"numeric\", which needs refine.sites \"face\"".into());
         }
         Ok(())
     }

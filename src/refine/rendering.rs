@@ -17,16 +17,22 @@ use rayon::prelude::*;
 ///
 /// Where it differs from the prediction at a site, taking off the blur has missed something: relief narrower than a few pixels, and
 /// borders between albedos.
-pub struct Rendered<'a> {
+pub struct Rendered {
     /// One a view, if it sees anything.
     images: Vec<Option<Image<f32>>>,
-    /// Albedo of each face.
+}
+
+/// The same with the albedo of the sites where it is compared.
+#[derive(Clone, Copy)]
+pub struct RenderedAt<'a> {
+    rendered: &'a Rendered,
+    /// Albedo of each site.
     pub albedo: &'a [f64],
 }
 
-impl<'a> Rendered<'a> {
+impl Rendered {
     /// Renders a mesh as the views that see its sites would show it.
-    pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View], albedo: &'a [f64]) -> Self {
+    pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View], albedo: &[f64]) -> Self {
         let seeing = sites.visible.iter().fold(0, |all, visible| all | visible);
         let views = views.par_iter().enumerate();
         let image = |(index, view): (usize, &View)| {
@@ -35,13 +41,22 @@ impl<'a> Rendered<'a> {
         };
         Rendered {
             images: views.map(image).collect(),
-            albedo,
         }
     }
 
-    /// Of a view by its number.
-    pub fn image(&self, index: usize) -> Option<&Image<f32>> {
-        self.images[index].as_ref()
+    /// To compare it at sites of this albedo.
+    pub fn at<'a>(&'a self, albedo: &'a [f64]) -> RenderedAt<'a> {
+        RenderedAt {
+            rendered: self,
+            albedo,
+        }
+    }
+}
+
+impl<'a> RenderedAt<'a> {
+    /// What a view shows, by its number.
+    pub fn image(&self, index: usize) -> Option<&'a Image<f32>> {
+        self.rendered.images[index].as_ref()
     }
 }
 
@@ -194,7 +209,7 @@ mod tests {
                 false => ALBEDO,
             })
             .collect();
-        let rms = |rendered: Option<&Rendered>| {
+        let rms = |rendered: Option<RenderedAt>| {
             let observations = Observations::new(&sites, &view, None, rendered);
             let beside = (0..mesh.faces.len()).filter(|&face| sites.points[face].x.abs() < 0.002);
             let mut squares = Vec::new();
@@ -208,7 +223,9 @@ mod tests {
             (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
         };
         let mixed = rms(None);
-        let taken_off = rms(Some(&Rendered::new(&mesh, &sites, &view, &albedo)));
+        let taken_off = rms(Some(
+            Rendered::new(&mesh, &sites, &view, &albedo).at(&albedo),
+        ));
         assert!(
             mixed > 0.5 && taken_off < 0.5 * mixed,
             "{mixed} {taken_off}"

@@ -6,9 +6,9 @@ use super::energy::{PriorWeights, Problem, Surface};
 use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
-use super::rendering::Rendered;
+use super::rendering::{Rendered, RenderedAt};
 use super::site_motion::SiteMotion;
-use super::sites::{Sites, ViewSet};
+use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::{Iteration, RefineStatus, SolverParams, minimise};
 use super::view::View;
 use crate::geometry::TriMesh;
@@ -33,6 +33,16 @@ pub struct State {
     pub views: Vec<View>,
     /// Albedo.
     pub albedo: Albedo,
+}
+
+/// What the views show at the vertices of a surface.
+struct AtVertices {
+    observations: Observations,
+    /// Group of albedo of each vertex.
+    labels: Vec<u8>,
+    /// By which factor its albedo, the mean of the facets' round it, differs from the group's.
+    tints: Vec<f64>,
+    loss: Tukey,
 }
 
 /// Tukey cut-offs of the first round, those after it, and the last: true relief is a large residual at first, and what a finer mesh
@@ -114,13 +124,31 @@ impl Rounds<'_> {
         *albedo = albedo.clone().scaled(mean_gain);
         let rendered = (is_last && self.params.integrate_pixels)
             .then(|| Rendered::new(&surface.mesh, sites, views, &albedo.by_face));
-        let observations = self.observe(sites, surface, views, rendered.as_ref());
+        let at_faces = rendered
+            .as_ref()
+            .map(|rendered| rendered.at(&albedo.by_face));
+        let observations = self.observe(sites, surface, views, at_faces);
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
         if let Some(next) = self.estimate_albedo(sites, &observations, current) {
             *albedo = next;
         }
-        let problem = self.problem(&observations, albedo, loss);
+        let at_vertices;
+        let problem = match self.params.sites {
+            SiteKind::Face => self.problem(&observations, albedo, loss),
+            kind @ SiteKind::Vertex => {
+                drop(observations);
+                let sites = Sites::of_kind(kind, &surface.mesh, views, learning);
+                at_vertices =
+                    self.at_vertices(&sites, surface, views, albedo, (rendered.as_ref(), cutoff));
+                Problem {
+                    sites: kind,
+                    labels: &at_vertices.labels,
+                    tints: &at_vertices.tints,
+                    ..self.problem(&at_vertices.observations, albedo, at_vertices.loss)
+                }
+            }
+        };
         let solver = SolverParams {
             max_steps: self.params.max_steps,
             min_decrease: 1e-4,
@@ -202,13 +230,39 @@ impl<'a> Rounds<'a> {
         sites: &Sites,
         surface: &Surface,
         views: &[View],
-        rendered: Option<&Rendered>,
+        rendered: Option<RenderedAt>,
     ) -> Observations {
-        let motion = SiteMotion::of(surface, self.params.linearisation);
+        let motion = SiteMotion::of(surface, sites.kind, self.params.linearisation);
         Observations::new(sites, views, motion, rendered)
     }
 
-    /// What is solved for displacements.
+    /// What the views show at the vertices, to solve for displacements by that; `cutoff` is the loss's.
+    fn at_vertices(
+        &self,
+        sites: &Sites,
+        surface: &Surface,
+        views: &[View],
+        albedo: &Albedo,
+        (rendered, cutoff): (Option<&Rendered>, f64),
+    ) -> AtVertices {
+        let labels = albedo.labels_by_vertex(&surface.mesh);
+        // What is between two groups has some of either.
+        let own = albedo.by_vertex(&surface.mesh);
+        let of_group = |&label: &u8| albedo.groups[label as usize];
+        let tints = own.iter().zip(labels.iter().map(of_group));
+        let tints = tints.map(|(own, of_group)| own / of_group).collect();
+        let rendered = rendered.map(|rendered| rendered.at(&own));
+        let observations = self.observe(sites, surface, views, rendered);
+        let scale = observations.residual_scale(sites, &own);
+        AtVertices {
+            observations,
+            labels,
+            tints,
+            loss: Tukey { scale, cutoff },
+        }
+    }
+
+    /// What is solved for displacements, by what views show at the facets.
     pub fn problem<'p>(
         &self,
         observations: &'p Observations,
@@ -219,6 +273,7 @@ impl<'a> Rounds<'a> {
         'a: 'p,
     {
         Problem {
+            sites: SiteKind::Face,
             observations,
             labels: &albedo.labels,
             tints: &albedo.tints,

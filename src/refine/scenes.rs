@@ -257,15 +257,16 @@ pub fn solved(
     let optics = optics(&rays, &calibration);
     let views = views(hidden, &mesh, &optics, &poses(0.5));
     let mut surface = surface_of(mesh);
-    let sites = Sites::new(&surface.mesh, &views, u64::MAX);
+    let sites = Sites::of_kind(params.sites, &surface.mesh, &views, u64::MAX);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, params.patch_m);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
-    let motion = SiteMotion::of(&surface, params.linearisation);
+    let motion = SiteMotion::of(&surface, params.sites, params.linearisation);
     let problem = Problem {
         observations: &Observations::new(&sites, &views, motion, None),
-        labels: &vec![0; surface.mesh.faces.len()],
-        tints: &vec![1.0; surface.mesh.faces.len()],
+        labels: &vec![0; sites.points.len()],
+        tints: &vec![1.0; sites.points.len()],
+        sites: params.sites,
         loss: final_loss(3.0),
         priors: prior_weights(params, params.edge_length_m),
         patches: &patches,

@@ -4,6 +4,7 @@
 //! aside, which tells where it is beside how it is tilted: brightness has to change from place to place as each view shows it.
 
 use super::energy::Surface;
+use super::sites::SiteKind;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -21,41 +22,52 @@ pub enum Linearisation {
 
 /// How the sites of a surface move with the displacements of its vertices, from where they were when it was looked at.
 pub struct SiteMotion {
-    /// How far each site moves where all corners of its face are displaced by a metre.
+    kind: SiteKind,
+    /// How far each site moves where all that it depends on are displaced by a metre.
     along: Vec<Vector3<f64>>,
-    /// Mean displacement of the corners of each face when it was looked at, metres.
+    /// Displacement of each site when it was looked at, metres.
     from_m: Vec<f64>,
 }
 
 impl SiteMotion {
     /// The motion of a surface's sites from where they are; `None` where nothing but the normals follows.
-    pub fn of(surface: &Surface, linearisation: Linearisation) -> Option<SiteMotion> {
-        let faces = || 0..surface.mesh.faces.len();
-        (linearisation == Linearisation::Full).then(|| SiteMotion {
-            along: faces()
-                .into_par_iter()
-                .map(|face| {
-                    let [a, b, c] =
-                        surface.mesh.faces[face].map(|v| surface.directions[v as usize]);
-                    (a + b + c) / 3.0
-                })
-                .collect(),
-            from_m: faces()
-                .into_par_iter()
-                .map(|face| surface.mean_displacement_m(face))
-                .collect(),
+    pub fn of(
+        surface: &Surface,
+        kind: SiteKind,
+        linearisation: Linearisation,
+    ) -> Option<SiteMotion> {
+        let along_face = |face: usize| {
+            let [a, b, c] = surface.mesh.faces[face].map(|v| surface.directions[v as usize]);
+            (a + b + c) / 3.0
+        };
+        (linearisation == Linearisation::Full).then(|| {
+            let along: Vec<Vector3<f64>> = match kind {
+                SiteKind::Face => {
+                    let faces = (0..surface.mesh.faces.len()).into_par_iter();
+                    faces.map(along_face).collect()
+                }
+                SiteKind::Vertex => surface.directions.clone(),
+            };
+            let sites = (0..along.len()).into_par_iter();
+            SiteMotion {
+                kind,
+                from_m: sites
+                    .map(|site| surface.displacement_m(kind, site))
+                    .collect(),
+                along,
+            }
         })
     }
 
-    /// How far the site of a face moves where all its corners are displaced by a metre, world frame.
-    pub fn along(&self, face: usize) -> &Vector3<f64> {
-        &self.along[face]
+    /// How far a site moves where all that it depends on are displaced by a metre, world frame.
+    pub fn along(&self, site: usize) -> &Vector3<f64> {
+        &self.along[site]
     }
 
-    /// How far the site of a face has moved along [`Self::along`], metres.
+    /// How far a site has moved along [`Self::along`], metres.
     #[inline]
-    pub fn moved_m(&self, surface: &Surface, face: usize) -> f64 {
-        surface.mean_displacement_m(face) - self.from_m[face]
+    pub fn moved_m(&self, surface: &Surface, site: usize) -> f64 {
+        surface.displacement_m(self.kind, site) - self.from_m[site]
     }
 }
 

@@ -1,4 +1,4 @@
-//! Where the surface is compared with the images: one site a facet, at its centroid.
+//! Where the surface is compared with the images: one site a facet, at its centroid, or one a vertex.
 
 use super::energy::unit_normal;
 use super::gaze::{Gaze, set_lane};
@@ -7,16 +7,30 @@ use crate::geometry::TriMesh;
 use crate::geometry::lanes::LANES;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What sites are at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SiteKind {
+    /// One a facet, at its centroid.
+    Face,
+    /// One a vertex, as in the paper, with the mean normal of the facets round it by their areas.
+    #[default]
+    Vertex,
+}
 
 /// The sites of a mesh and the views that see them.
 pub struct Sites {
-    /// Centroid of each face.
+    /// What they are at.
+    pub kind: SiteKind,
+    /// Centroid of each face, or each vertex.
     pub points: Vec<Point3<f64>>,
-    /// Unit normal of each face; zero where it has no area.
+    /// Unit normal of each; zero where it has no area.
     pub normals: Vec<Vector3<f64>>,
-    /// Area of each face, m².
+    /// Area of each, m²; a vertex has a third of the faces round it.
     pub areas_m2: Vec<f64>,
-    /// Bit k of a face is set where view k sees it.
+    /// Bit k of a site is set where view k sees it.
     pub visible: Vec<ViewSet>,
 }
 
@@ -32,15 +46,27 @@ pub struct ViewError {
 pub type ViewSet = u64;
 
 impl Sites {
-    /// Finds the sites of a mesh and who of a set of views sees them.
+    /// Finds the sites of a mesh at its facets and who of a set of views sees them.
     pub fn new(mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
-        let mut sites = Sites::unseen(mesh);
+        Sites::of_kind(SiteKind::Face, mesh, views, set)
+    }
+
+    /// The same for sites of either kind.
+    pub fn of_kind(kind: SiteKind, mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
+        let sites = match kind {
+            SiteKind::Face => Sites::of_faces(mesh),
+            SiteKind::Vertex => Sites::of_vertices(mesh),
+        };
+        sites.seen_by(views, set)
+    }
+
+    fn seen_by(mut self, views: &[View], set: ViewSet) -> Sites {
         let Sites {
             points,
             normals,
             visible,
             ..
-        } = &mut sites;
+        } = &mut self;
         let gazes: Vec<(usize, Gaze)> = views
             .iter()
             .enumerate()
@@ -62,16 +88,17 @@ impl Sites {
                 }
             }
         });
-        sites
+        self
     }
 
-    /// The sites of a mesh that nobody looks at.
-    fn unseen(mesh: &TriMesh) -> Sites {
+    /// The facets of a mesh that nobody looks at.
+    fn of_faces(mesh: &TriMesh) -> Sites {
         let n_faces = mesh.faces.len();
         let faces = (0..n_faces).into_par_iter();
         let of_face = |face| unit_normal(mesh, face).unwrap_or((Vector3::zeros(), 0.0));
         let (normals, areas_m2) = faces.clone().map(of_face).unzip();
         Sites {
+            kind: SiteKind::Face,
             points: faces.map(|face| mesh.centroid(face)).collect(),
             normals,
             areas_m2,
@@ -79,9 +106,29 @@ impl Sites {
         }
     }
 
+    /// The vertices of a mesh that nobody looks at.
+    fn of_vertices(mesh: &TriMesh) -> Sites {
+        let n_vertices = mesh.vertices.len();
+        let mut areas_m2 = vec![0.0; n_vertices];
+        for (face, corners) in mesh.faces.iter().enumerate() {
+            let third = mesh.face_normal(face).norm() / 6.0;
+            corners
+                .iter()
+                .for_each(|&vertex| areas_m2[vertex as usize] += third);
+        }
+        Sites {
+            kind: SiteKind::Vertex,
+            points: mesh.vertices.clone(),
+            normals: mesh.vertex_normals(),
+            areas_m2,
+            visible: vec![0; n_vertices],
+        }
+    }
+
     /// The same sites, seen by a set of views alone.
     pub fn only(&self, set: ViewSet) -> Sites {
         Sites {
+            kind: self.kind,
             points: self.points.clone(),
             normals: self.normals.clone(),
             areas_m2: self.areas_m2.clone(),

@@ -1,10 +1,10 @@
 //! Levenberg–Marquardt on the robust energy with a sparse Cholesky factorisation whose analysis is made once a mesh.
 
-use super::cholesky::Analysis;
+use super::cholesky::{Analysis, Factor};
 use super::couplings::Couplings;
-use super::energy::{NormalMatrix, Problem, Surface};
+use super::energy::{GroupTerms, NormalMatrix, Problem, Surface};
 use crate::geometry::area_vector;
-use nalgebra::{DMatrix, DVector, Point3};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Point3};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -80,41 +80,143 @@ impl Pattern {
     /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
     /// taken out by their Schur complement. `None` where H is not positive definite.
     pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
+        let (_, step) = Bordered::new(&self.analysis, matrix, damping)?;
+        step.is_finite().then_some(step)
+    }
+
+    /// As [`Self::solve`] where the matrix has an upper bound of the data term of sites at vertices in its place: by conjugate
+    /// gradients in the bound's metric (Hestenes and Stiefel 1952).
+    fn solve_problem(
+        &self,
+        problem: &Problem,
+        matrix: &NormalMatrix,
+        damping: f64,
+    ) -> Option<Step> {
+        let Some(system) = &matrix.at_vertices else {
+            return self.solve(matrix, damping);
+        };
+        let (bound, first) = Bordered::new(&self.analysis, matrix, damping)?;
+        let times = |x: &Step| {
+            let mut product = problem.prior_times(&x.displacement);
+            system.add_times(&x.displacement, &mut product);
+            let pairs = matrix.diagonal.iter().zip(&x.displacement);
+            for (product, (diagonal, x)) in product.iter_mut().zip(pairs) {
+                *product += damping * diagonal * x;
+            }
+            bound.with_albedos(x, product)
+        };
+        let (mut residual, mut direction) = (matrix.descent(), first);
+        let mut solution = residual.zeros();
+        let mut descent = residual.dot(&direction);
+        for iteration in 1.. {
+            let product = times(&direction);
+            let length = descent / direction.dot(&product);
+            solution.add(length, &direction);
+            if iteration == CONJUGATE_GRADIENTS {
+                break;
+            }
+            residual.add(-length, &product);
+            let next = bound.solve(residual.clone());
+            let next_descent = residual.dot(&next);
+            let turned = direction;
+            direction = next;
+            direction.add(next_descent / descent, &turned);
+            descent = next_descent;
+        }
+        solution.is_finite().then_some(solution)
+    }
+}
+
+/// A factor of the displacements' matrix, and the Schur complement of the groups' albedos beside it.
+struct Bordered<'a> {
+    factor: Factor<'a>,
+    groups: &'a [GroupTerms],
+    /// Diagonal of each group.
+    own: Vec<f64>,
+    /// The displacements' inverse times the coupling of each group.
+    by_group: Vec<f64>,
+    complement: Cholesky<f64, Dyn>,
+}
+
+impl<'a> Bordered<'a> {
+    /// Factorises a damped matrix and solves for its descent; `None` where it is not positive definite.
+    fn new(analysis: &'a Analysis, matrix: &'a NormalMatrix, damping: f64) -> Option<(Self, Step)> {
         let damped = matrix.diagonal.iter().map(|value| value * (1.0 + damping));
         let damped: Vec<f64> = damped.collect();
-        let factor = self.analysis.factorise(&damped, &matrix.off_diagonal)?;
-        let (n, groups) = (matrix.gradient.len(), &matrix.groups);
-        let mut columns: Vec<f64> = matrix.gradient.iter().map(|slope| -slope).collect();
+        let factor = analysis.factorise(&damped, &matrix.off_diagonal)?;
+        let (n, groups) = (matrix.gradient.len(), &matrix.groups[..]);
+        let descent = matrix.descent();
+        let mut columns = descent.displacement;
         for group in groups {
             columns.extend_from_slice(&group.coupling);
         }
-        let mut columns = factor.solve(columns);
-        let by_group = columns.split_off(n);
-        let (by_group, alone): (Vec<&[f64]>, _) = (by_group.chunks(n).collect(), columns);
-        let complement = DMatrix::from_fn(groups.len(), groups.len(), |k, l| {
-            let own = match k == l {
-                true => groups[k].diagonal * (1.0 + damping) + NO_EVIDENCE,
-                false => 0.0,
-            };
-            own - dot(&groups[k].coupling, by_group[l])
-        });
-        let descent = groups
+        let mut alone = factor.solve(columns);
+        let by_group = alone.split_off(n);
+        let own = groups
             .iter()
-            .map(|group| -group.gradient - dot(&group.coupling, &alone));
-        let descent = DVector::from_iterator(groups.len(), descent);
-        let log_albedo = complement.cholesky()?.solve(&descent);
-        let mut displacement = alone;
-        for (by_group, albedo) in by_group.iter().zip(&log_albedo) {
-            for (x, by_albedo) in displacement.iter_mut().zip(*by_group) {
+            .map(|group| group.diagonal * (1.0 + damping) + NO_EVIDENCE);
+        let own: Vec<f64> = own.collect();
+        let complement = DMatrix::from_fn(groups.len(), groups.len(), |k, l| {
+            let own = if k == l { own[k] } else { 0.0 };
+            own - dot(&groups[k].coupling, &by_group[l * n..(l + 1) * n])
+        });
+        let bordered = Bordered {
+            factor,
+            groups,
+            own,
+            by_group,
+            complement: complement.cholesky()?,
+        };
+        let step = bordered.border(alone, &descent.log_albedo);
+        Some((bordered, step))
+    }
+
+    fn solve(&self, right: Step) -> Step {
+        self.border(self.factor.solve(right.displacement), &right.log_albedo)
+    }
+
+    /// The solution for displacements and albedos, from that for displacements alone and the albedos' right side.
+    fn border(&self, mut alone: Vec<f64>, right: &[f64]) -> Step {
+        let pairs = self.groups.iter().zip(right);
+        let right = pairs.map(|(group, right)| right - dot(&group.coupling, &alone));
+        let right = DVector::from_iterator(self.groups.len(), right);
+        let log_albedo = self.complement.solve(&right);
+        for (by_group, albedo) in self.by_group.chunks(alone.len()).zip(&log_albedo) {
+            for (x, by_albedo) in alone.iter_mut().zip(by_group) {
                 *x -= albedo * by_albedo;
             }
         }
-        let step = Step {
-            displacement,
+        Step {
+            displacement: alone,
             log_albedo: log_albedo.as_slice().to_vec(),
+        }
+    }
+
+    /// The product of the whole matrix with `x`, from that of the displacements' alone.
+    fn with_albedos(&self, x: &Step, mut displacement: Vec<f64>) -> Step {
+        for (group, albedo) in self.groups.iter().zip(&x.log_albedo) {
+            for (product, coupling) in displacement.iter_mut().zip(&group.coupling) {
+                *product += coupling * albedo;
+            }
+        }
+        let of_group = |((group, own), albedo): ((&GroupTerms, &f64), &f64)| {
+            dot(&group.coupling, &x.displacement) + own * albedo
         };
-        let mut all = step.displacement.iter().chain(&step.log_albedo);
-        all.all(|value| value.is_finite()).then_some(step)
+        let groups = self.groups.iter().zip(&self.own).zip(&x.log_albedo);
+        Step {
+            displacement,
+            log_albedo: groups.map(of_group).collect(),
+        }
+    }
+}
+
+impl NormalMatrix {
+    /// The negative gradient.
+    fn descent(&self) -> Step {
+        Step {
+            displacement: self.gradient.iter().map(|slope| -slope).collect(),
+            log_albedo: self.groups.iter().map(|group| -group.gradient).collect(),
+        }
     }
 }
 
@@ -127,6 +229,32 @@ pub struct Step {
     pub log_albedo: Vec<f64>,
 }
 
+impl Step {
+    fn zeros(&self) -> Step {
+        Step {
+            displacement: vec![0.0; self.displacement.len()],
+            log_albedo: vec![0.0; self.log_albedo.len()],
+        }
+    }
+
+    fn dot(&self, other: &Step) -> f64 {
+        dot(&self.displacement, &other.displacement) + dot(&self.log_albedo, &other.log_albedo)
+    }
+
+    fn add(&mut self, factor: f64, other: &Step) {
+        let all = self.displacement.iter_mut().chain(&mut self.log_albedo);
+        let others = other.displacement.iter().chain(&other.log_albedo);
+        all.zip(others).for_each(|(x, other)| *x += factor * other);
+    }
+
+    fn is_finite(&self) -> bool {
+        let mut all = self.displacement.iter().chain(&self.log_albedo);
+        all.all(|value| value.is_finite())
+    }
+}
+
+/// Conjugate gradients a step. The bound alone leaves the wedges of a Kinect II's plate at 5.23° where three reach 4.93° and six 4.97°.
+const CONJUGATE_GRADIENTS: usize = 3;
 /// Keeps the system of the albedos solvable where nobody sees a group: next to nothing beside one pixel.
 const NO_EVIDENCE: f64 = 1e-3;
 /// No logarithm of an albedo changes by more than this in one step.
@@ -163,7 +291,7 @@ pub fn minimise(
     for _ in 0..params.max_steps {
         let matrix = problem.linearise(surface, albedos, &pattern.couplings);
         let (next, next_albedos, next_energy, max_step_m) = loop {
-            let Some(step) = pattern.solve(&matrix, damping) else {
+            let Some(step) = pattern.solve_problem(problem, &matrix, damping) else {
                 return RefineStatus::Singular;
             };
             let Step {

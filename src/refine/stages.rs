@@ -1,10 +1,11 @@
 //! The steps of an outer round one at a time: what benches time, and the linear problem that other solvers are given.
 //!
-//! [`refine`](super::refine) goes through the same functions by itself.
+//! [`refine`](super::refine) goes through the same functions by itself. Residuals are at the facets here, which couples by edges alone
+//! and is what other solvers can be given.
 
 use super::RefineError;
 use super::albedo::Albedo;
-use super::energy::{FaceBlock, NormalMatrix, PriorWeights, Problem};
+use super::energy::{Block, NormalMatrix, PriorWeights, Problem};
 use super::observations::Observations;
 use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
@@ -232,7 +233,7 @@ pub struct FaceTerm {
 }
 
 impl FaceTerm {
-    fn new(unknowns: [u32; 4], block: &FaceBlock) -> Self {
+    fn new(unknowns: [u32; 4], block: &Block<3>) -> Self {
         let (coupling, diagonal, slope) = block.by_albedo;
         let mut hessian = Matrix4::zeros();
         hessian.fixed_view_mut::<3, 3>(0, 0).copy_from(&block.jtj);

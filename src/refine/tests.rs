@@ -10,7 +10,7 @@ use super::scenes::{
     ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views,
 };
 use super::site_motion::{Linearisation, SiteMotion};
-use super::sites::Sites;
+use super::sites::{SiteKind, Sites};
 use super::solver::SolverParams;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
@@ -48,29 +48,32 @@ fn shaken(surface: &Surface, amplitude_m: f64) -> Surface {
 #[test]
 fn gradient_matches_central_differences_of_the_energy() {
     for linearisation in [Linearisation::Full, Linearisation::Detail] {
-        check_gradient(linearisation);
+        check_gradient(linearisation, SiteKind::Face);
     }
+    check_gradient(Linearisation::Full, SiteKind::Vertex);
 }
 
-fn check_gradient(linearisation: Linearisation) {
+fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let mesh = FLAT.mesh(0.004);
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
     let looked_at = shaken(&surface_of(mesh), 1e-4);
-    let sites = Sites::new(&looked_at.mesh, &views, u64::MAX);
-    let motion = SiteMotion::of(&looked_at, linearisation);
+    let sites = Sites::of_kind(kind, &looked_at.mesh, &views, u64::MAX);
+    let motion = SiteMotion::of(&looked_at, kind, linearisation);
     let surface = shaken(&looked_at, 5e-5);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, 0.02);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);
+    let n_sites = sites.points.len();
     let problem = Problem {
+        sites: kind,
         observations: &Observations::new(&sites, &views, motion, None),
-        labels: &(0..surface.mesh.faces.len())
-            .map(|face| (face % 2) as u8)
+        labels: &(0..n_sites)
+            .map(|site| (site % 2) as u8)
             .collect::<Vec<_>>(),
-        tints: &(0..surface.mesh.faces.len())
-            .map(|face| 1.0 + 0.1 * (0.1 * face as f64).sin())
+        tints: &(0..n_sites)
+            .map(|site| 1.0 + 0.1 * (0.1 * site as f64).sin())
             .collect::<Vec<_>>(),
         loss: Tukey {
             scale: 2.0,

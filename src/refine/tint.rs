@@ -91,6 +91,7 @@ fn patches(sites: &Sites, labels: &[u8], groups: &[f64], ratios: &[Ratio]) -> Ve
 
 #[cfg(test)]
 mod tests {
+    use super::super::sites::SiteKind;
     use super::*;
 
     /// A plane of 0.2 m, seen by so many views, of two groups of facets beside one another.
@@ -101,6 +102,7 @@ mod tests {
         let labels = points.iter().map(|point| u8::from(point.x > 0.1)).collect();
         let n = points.len();
         let sites = Sites {
+            kind: SiteKind::Face,
             normals: vec![-Vector3::z(); n],
             areas_m2: vec![1e-6; n],
             visible: vec![(1 << n_views) - 1; n],

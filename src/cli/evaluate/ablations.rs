@@ -5,7 +5,8 @@ use relief::{
     export::Ablation,
     geometry::RayGrid,
     refine::{
-        AlbedoMode, AlbedoParams, JacobianMode, Judgement, Linearisation, RefineParams, validate,
+        AlbedoMode, AlbedoParams, JacobianMode, Judgement, Linearisation, RefineParams, SiteKind,
+        validate,
     },
     shading::Calibration,
 };
@@ -70,7 +71,11 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
     };
     let mut variations = vec![
         with("as configured", &|_| {}),
-        with("derivatives by differences", &|params| {
+        with("residuals at the facets", &|params| {
+            params.sites = SiteKind::Face;
+        }),
+        with("the same, derivatives by differences", &|params| {
+            params.sites = SiteKind::Face;
             params.jacobian = JacobianMode::Numeric;
         }),
         with("pixel, distance and light held", &|params| {

@@ -1,0 +1,344 @@
+//! The data term's normal equations where sites are at vertices, as in the paper.
+//!
+//! A vertex's normal is that of the sum `N = Σ N_f` of the area vectors of the faces round it, so that a residual touches all
+//! displacements of the vertex's ring and the normal matrix those two edges apart. A factor of that matrix takes several times as
+//! long as one of those that edges couple. So it is never put together: [`VertexSystem::times`] multiplies by it, face by face, and
+//! what is factorised is a bound of it on edges alone, [`VertexSystem::add_bound`]. With `J = Σ w_f J_f` and `Σ w_f = 1`, where in
+//! `J_f` the one face turns the normal by as much as all of them, `Jᵀ A J ≤ Σ w_f J_fᵀ A J_f` (Jensen). The bound is right for what
+//! is wider than a ring and too stiff for what is not; a few conjugate gradients make up for that.
+
+use super::couplings::Couplings;
+use super::energy::{NormalMatrix, Problem, Surface, TILE, area_vector_by_displacement};
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+
+/// What is known of the data term about a surface.
+#[derive(Clone, Debug)]
+pub struct VertexSystem {
+    faces: Vec<[u32; 3]>,
+    /// Change of each face's area vector by the displacements of its corners, one a column, m.
+    by_corners: Vec<Matrix3<f64>>,
+    /// One a vertex.
+    terms: Vec<Terms>,
+}
+
+/// The sums of a vertex over its views, by the change of `N` over `Σ |N_f|` and by its displacement.
+#[derive(Clone, Copy, Debug, Default)]
+struct Terms {
+    /// `1 / Σ |N_f|`, m⁻².
+    inv_norms: f64,
+    by_normal: Matrix3<f64>,
+    by_both: Vector3<f64>,
+    by_displacement: f64,
+    gradient: Change,
+    /// With the logarithm of the albedo, of both, and its derivative.
+    coupling: Change,
+    by_albedo: (f64, f64),
+}
+
+/// A derivative by the normal's change and by the displacement.
+#[derive(Clone, Copy, Debug, Default)]
+struct Change {
+    normal: Vector3<f64>,
+    displacement: f64,
+}
+
+/// A face's part of the bound.
+struct FaceBound {
+    jtj: Matrix3<f64>,
+    gradient: Vector3<f64>,
+    /// By the albedo of each corner's group.
+    couplings: [Vector3<f64>; 3],
+}
+
+impl VertexSystem {
+    /// Sums what the views say about a surface and the groups' albedos, robust weights held.
+    pub fn new(problem: &Problem, surface: &Surface, albedos: &[f64]) -> VertexSystem {
+        let mesh = &surface.mesh;
+        let n_vertices = mesh.vertices.len();
+        let (mut along, mut norms) = (vec![Vector3::zeros(); n_vertices], vec![0.0; n_vertices]);
+        for (face, corners) in mesh.faces.iter().enumerate() {
+            let normal = mesh.face_normal(face);
+            for &vertex in corners {
+                along[vertex as usize] += normal;
+                norms[vertex as usize] += normal.norm();
+            }
+        }
+        let vertices = (0..n_vertices).into_par_iter().with_min_len(TILE);
+        let terms = vertices.map(|vertex| {
+            let is_seen = !problem.observations.of(vertex).is_empty();
+            let normal = along[vertex].try_normalize(0.0).filter(|_| is_seen);
+            normal.map_or(Terms::default(), |normal| {
+                let per_turn = norms[vertex] / along[vertex].norm();
+                Terms {
+                    inv_norms: 1.0 / norms[vertex],
+                    ..Terms::new(problem, surface, (vertex, normal, per_turn), albedos)
+                }
+            })
+        });
+        let faces = (0..mesh.faces.len()).into_par_iter().with_min_len(TILE);
+        VertexSystem {
+            faces: mesh.faces.clone(),
+            terms: terms.collect(),
+            by_corners: faces
+                .map(|face| Matrix3::from_columns(&area_vector_by_displacement(surface, face)))
+                .collect(),
+        }
+    }
+
+    /// Adds a matrix that is nowhere less than this data term's and couples by edges alone; gradient and what belongs to the
+    /// albedos are exact.
+    pub fn add_bound(
+        &self,
+        problem: &Problem,
+        surface: &Surface,
+        couplings: &Couplings,
+        matrix: &mut NormalMatrix,
+    ) {
+        for (terms, &label) in self.terms.iter().zip(problem.labels) {
+            let group = &mut matrix.groups[label as usize];
+            let (diagonal, gradient) = terms.by_albedo;
+            group.diagonal += diagonal;
+            group.gradient += gradient;
+        }
+        let faces = (0..self.faces.len()).into_par_iter().with_min_len(TILE);
+        let norm = |face: usize| surface.mesh.face_normal(face).norm();
+        let bounds: Vec<FaceBound> = faces.map(|face| self.bound(face, norm(face))).collect();
+        let faces = self.faces.iter().zip(&couplings.of_faces);
+        for ((face, sides), bound) in faces.zip(&bounds) {
+            for corner in 0..3 {
+                let vertex = face[corner] as usize;
+                matrix.diagonal[vertex] += bound.jtj[(corner, corner)];
+                matrix.gradient[vertex] += bound.gradient[corner];
+                matrix.off_diagonal[sides[corner] as usize] +=
+                    bound.jtj[(corner, (corner + 1) % 3)];
+                let label = problem.labels[vertex] as usize;
+                for (&other, by) in face.iter().zip(&bound.couplings[corner]) {
+                    matrix.groups[label].coupling[other as usize] += by;
+                }
+            }
+        }
+    }
+
+    fn bound(&self, face: usize, norm: f64) -> FaceBound {
+        let corners = self.faces[face].map(|vertex| &self.terms[vertex as usize]);
+        // As if the face alone turned the normals of its corners.
+        let turns = self.by_corners[face] / norm.max(f64::MIN_POSITIVE);
+        let mut bound = FaceBound {
+            jtj: Matrix3::zeros(),
+            gradient: Vector3::zeros(),
+            couplings: [Vector3::zeros(); 3],
+        };
+        let mut by_normal = Matrix3::zeros();
+        for (corner, terms) in corners.into_iter().enumerate() {
+            let share = norm * terms.inv_norms;
+            by_normal += terms.by_normal * share;
+            let by_both = turns.tr_mul(&terms.by_both) * share;
+            for other in 0..3 {
+                bound.jtj[(corner, other)] += by_both[other];
+                bound.jtj[(other, corner)] += by_both[other];
+            }
+            bound.jtj[(corner, corner)] += share * terms.by_displacement;
+            let of_corners = |change: &Change| {
+                let mut of_corners = turns.tr_mul(&change.normal);
+                of_corners[corner] += change.displacement;
+                of_corners * share
+            };
+            bound.gradient += of_corners(&terms.gradient);
+            bound.couplings[corner] = of_corners(&terms.coupling);
+        }
+        bound.jtj += turns.tr_mul(&(by_normal * turns));
+        bound
+    }
+
+    /// Adds the product of the data term's own matrix with displacements `x`.
+    pub fn add_times(&self, x: &[f64], product: &mut [f64]) {
+        let of = |values: &[f64], face: &[u32; 3]| Vector3::from(face.map(|v| values[v as usize]));
+        let faces = self.faces.par_iter().zip(&self.by_corners);
+        let turned: Vec<Vector3<f64>> = faces.map(|(face, by)| by * of(x, face)).collect();
+        let mut changes = vec![Vector3::zeros(); x.len()];
+        for (face, change) in self.faces.iter().zip(&turned) {
+            for &vertex in face {
+                changes[vertex as usize] += change;
+            }
+        }
+        let vertices = changes.par_iter_mut().zip(&self.terms);
+        let vertices = vertices.zip(x.par_iter().zip(product.par_iter_mut()));
+        vertices.for_each(|((change, terms), (x, product))| {
+            let by_norms = *change * terms.inv_norms;
+            *product += terms.by_both.dot(&by_norms) + terms.by_displacement * x;
+            *change = (terms.by_normal * by_norms + terms.by_both * *x) * terms.inv_norms;
+        });
+        let faces = self.faces.par_iter().zip(&self.by_corners);
+        let backwards = faces.map(|(face, by)| {
+            let [a, b, c] = face.map(|vertex| changes[vertex as usize]);
+            by.tr_mul(&(a + b + c))
+        });
+        let backwards: Vec<Vector3<f64>> = backwards.collect();
+        for (face, back) in self.faces.iter().zip(&backwards) {
+            for (&vertex, back) in face.iter().zip(back) {
+                product[vertex as usize] += back;
+            }
+        }
+    }
+}
+
+impl Terms {
+    /// Of a vertex with its unit normal and by how much that turns with the change of `N` over `Σ |N_f|`.
+    fn new(
+        problem: &Problem,
+        surface: &Surface,
+        (vertex, normal, per_turn): (usize, Vector3<f64>, f64),
+        albedos: &[f64],
+    ) -> Terms {
+        let site = problem.site(surface, albedos, vertex, normal);
+        let block = problem.sum_over_views::<4>(&site, |seen| {
+            let by_normal = seen.light() * -site.albedo;
+            by_normal.push(seen.by_motion(site.albedo))
+        });
+        let turn = (Matrix3::identity() - normal * normal.transpose()) * per_turn;
+        let change = |by: &nalgebra::Vector4<f64>| Change {
+            normal: turn * by.xyz(),
+            displacement: by.w,
+        };
+        let (coupling, diagonal, gradient) = &block.by_albedo;
+        let by_unit: Matrix3<f64> = block.jtj.fixed_view::<3, 3>(0, 0).into();
+        let with_displacement: Vector3<f64> = block.jtj.fixed_view::<3, 1>(0, 3).into();
+        Terms {
+            inv_norms: 0.0,
+            by_normal: turn * by_unit * turn,
+            by_both: turn * with_displacement,
+            by_displacement: block.jtj[(3, 3)],
+            gradient: change(&block.jtr),
+            coupling: change(coupling),
+            by_albedo: (*diagonal, *gradient),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::RefineParams;
+    use super::super::observations::Observations;
+    use super::super::rounds::prior_weights;
+    use super::super::scenes::{
+        ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views,
+    };
+    use super::super::site_motion::{Linearisation, SiteMotion};
+    use super::super::sites::{SiteKind, Sites};
+    use super::super::solver::SolverParams;
+    use super::*;
+    use crate::geometry::{EdgeAdjacency, TriMesh};
+    use crate::refine::JacobianMode;
+    use crate::shading::Tukey;
+
+    const HIDDEN: RippledPlane = RippledPlane {
+        amplitude_m: 0.0003,
+    };
+
+    fn dot(a: &[f64], b: &[f64]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    }
+
+    /// Displacements of one vertex, of wide waves, and such as alternate.
+    fn directions(surface: &Surface) -> Vec<Vec<f64>> {
+        let vertices = &surface.mesh.vertices;
+        let n = vertices.len();
+        let wide = vertices.iter().map(|p| (200.0 * p.x).sin() + p.y / 0.05);
+        let mixed = (0..n).map(|v| (12.9898 * v as f64).sin());
+        let mut one = vec![0.0; n];
+        let off_middle = |v: &usize| (1e6 * vertices[*v].coords.xy().norm()) as u64;
+        one[(0..n).min_by_key(off_middle).expect("not empty")] = 1.0;
+        vec![wide.collect(), mixed.collect(), one]
+    }
+
+    #[test]
+    fn the_matrix_is_the_gradients_derivative_and_its_bound_is_no_less() {
+        let (rays, calibration) = (rays(), calibration());
+        let optics = optics(&rays, &calibration);
+        let mesh = HIDDEN.mesh(0.002);
+        let views = views(&HIDDEN, &mesh, &optics, &poses(0.5));
+        let surface = surface_of(mesh);
+        let sites = Sites::of_kind(SiteKind::Vertex, &surface.mesh, &views, u64::MAX);
+        let motion = SiteMotion::of(&surface, SiteKind::Vertex, Linearisation::Full);
+        let edges = EdgeAdjacency::new(&surface.mesh);
+        let couplings = Couplings::new(&surface.mesh, &edges, &[]);
+        let n_sites = sites.points.len();
+        let problem = Problem {
+            sites: SiteKind::Vertex,
+            observations: &Observations::new(&sites, &views, motion, None),
+            labels: &vec![0; n_sites],
+            tints: &vec![1.0; n_sites],
+            // All weights are 1, and residuals of the true surface are next to nothing.
+            loss: Tukey {
+                scale: 1.0,
+                cutoff: 1e6,
+            },
+            priors: prior_weights(&RefineParams::default(), 0.002),
+            patches: &[],
+            edges: &edges,
+            jacobian: JacobianMode::Analytic,
+        };
+        let linearise = |surface: &Surface| problem.linearise(surface, &[ALBEDO], &couplings);
+        let matrix = linearise(&surface);
+        let system = matrix.at_vertices.as_ref().expect("sites are at vertices");
+        let prior = problem.prior_matrix(&surface.total_m, &couplings);
+        for x in directions(&surface) {
+            let mut data = vec![0.0; x.len()];
+            system.add_times(&x, &mut data);
+            let steps = |by: f64| -> Vec<f64> { x.iter().map(|x| by * x).collect() };
+            let gradient = |by: f64| linearise(&surface.displaced(&steps(by))).gradient;
+            let (back, forth) = (gradient(-1e-8), gradient(1e-8));
+            let held = problem.prior_times(&x);
+            let numeric = back.iter().zip(&forth).map(|(b, f)| (f - b) / 2e-8);
+            let numeric: Vec<f64> = numeric.zip(&held).map(|(all, prior)| all - prior).collect();
+            let apart: Vec<f64> = numeric.iter().zip(&data).map(|(n, d)| n - d).collect();
+            let share = (dot(&apart, &apart) / dot(&data, &data)).sqrt();
+            assert!(share < 0.05, "{share}");
+            let of_pairs = |off: &[f64], diagonal: &[f64]| {
+                let own: f64 = x.iter().zip(diagonal).map(|(x, d)| d * x * x).sum();
+                let pairs = couplings.pairs.iter().zip(off);
+                let beside = pairs.map(|(&[i, j], h)| 2.0 * h * x[i as usize] * x[j as usize]);
+                own + beside.sum::<f64>()
+            };
+            let prior = of_pairs(&prior.off_diagonal, &prior.diagonal);
+            assert!((prior / dot(&x, &held) - 1.0).abs() < 1e-9);
+            let bound = of_pairs(&matrix.off_diagonal, &matrix.diagonal) - prior;
+            let exact = dot(&x, &data);
+            assert!(bound > exact && exact > 0.0, "{bound} for {exact}");
+        }
+    }
+
+    #[test]
+    fn either_kind_of_site_finds_hidden_ripples() {
+        let error_of = |mesh: &TriMesh| {
+            let normals = mesh.vertex_normals();
+            let inner = mesh.vertices.iter().zip(&normals);
+            let inner = inner.filter(|(p, _)| p.x.abs() < 0.025 && p.y.abs() < 0.025);
+            let angles: Vec<f64> = inner
+                .map(|(p, n)| n.angle(&HIDDEN.normal(p.x, p.y)))
+                .collect();
+            angles.iter().sum::<f64>() / angles.len() as f64
+        };
+        let solver = SolverParams {
+            max_steps: 5,
+            min_decrease: 1e-6,
+            max_step_m: 1e-3,
+        };
+        let flat = RippledPlane { amplitude_m: 0.0 }.mesh(0.002);
+        let before = error_of(&flat);
+        for sites in [SiteKind::Face, SiteKind::Vertex] {
+            let params = RefineParams {
+                edge_length_m: 0.002,
+                sites,
+                ..RefineParams::default()
+            };
+            let (surface, _) = solved(&HIDDEN, (flat.clone(), ALBEDO), &params, &solver);
+            let after = error_of(&surface.mesh);
+            assert!(
+                after < 0.4 * before,
+                "{sites:?}: from {before} to {after} rad"
+            );
+        }
+    }
+}
