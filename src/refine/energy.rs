@@ -229,7 +229,7 @@ impl Problem<'_> {
             SiteKind::Face => self.add_faces(surface, albedos, couplings, &mut matrix),
             SiteKind::Vertex => {
                 let system = VertexSystem::new(self, surface, albedos);
-                system.add_bound(self, surface, couplings, &mut matrix);
+                system.add_bound(self, couplings, &mut matrix);
                 matrix.at_vertices = Some(system);
             }
         }

@@ -26,7 +26,7 @@ pub struct Sites {
     pub kind: SiteKind,
     /// Centroid of each face, or each vertex.
     pub points: Vec<Point3<f64>>,
-    /// Unit normal of each; zero where it has no area.
+    /// Unit normal of each; zero where it has none.
     pub normals: Vec<Vector3<f64>>,
     /// Area of each, m²; a vertex has a third of the faces round it.
     pub areas_m2: Vec<f64>,
@@ -41,6 +41,9 @@ pub struct ViewError {
     /// Root mean square of observed less predicted linear intensity, as a share of the mean observed one.
     pub rmse: f64,
 }
+
+/// A vertex has no normal where the faces round it are folded together, so that their area vectors sum to less of their area.
+const MIN_FLATNESS: f64 = 0.4;
 
 /// A set of views: bit k stands for view k.
 pub type ViewSet = u64;
@@ -110,16 +113,23 @@ impl Sites {
     fn of_vertices(mesh: &TriMesh) -> Sites {
         let n_vertices = mesh.vertices.len();
         let mut areas_m2 = vec![0.0; n_vertices];
+        let mut along = vec![Vector3::zeros(); n_vertices];
         for (face, corners) in mesh.faces.iter().enumerate() {
-            let third = mesh.face_normal(face).norm() / 6.0;
-            corners
-                .iter()
-                .for_each(|&vertex| areas_m2[vertex as usize] += third);
+            let normal = mesh.face_normal(face);
+            for &vertex in corners {
+                areas_m2[vertex as usize] += normal.norm() / 6.0;
+                along[vertex as usize] += normal / 6.0;
+            }
         }
+        let normal = |(along, area_m2): (&Vector3<f64>, &f64)| match along.norm() {
+            norm if norm > MIN_FLATNESS * area_m2 => along / norm,
+            _ => Vector3::zeros(),
+        };
+        let normals = along.iter().zip(&areas_m2).map(normal).collect();
         Sites {
             kind: SiteKind::Vertex,
             points: mesh.vertices.clone(),
-            normals: mesh.vertex_normals(),
+            normals,
             areas_m2,
             visible: vec![0; n_vertices],
         }
