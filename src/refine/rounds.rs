@@ -45,6 +45,30 @@ struct AtVertices {
     loss: Tukey,
 }
 
+impl AtVertices {
+    /// With the albedo of the facets round them; `cutoff` is the loss's.
+    fn new(
+        sites: &Sites,
+        mesh: &TriMesh,
+        observations: Observations,
+        albedo: &Albedo,
+        cutoff: f64,
+    ) -> Self {
+        let labels = albedo.labels_by_vertex(mesh);
+        // What is between two groups has some of either.
+        let own = albedo.by_vertex(mesh);
+        let of_group = |&label: &u8| albedo.groups[label as usize];
+        let tints = own.iter().zip(labels.iter().map(of_group));
+        let scale = observations.residual_scale(sites, &own);
+        AtVertices {
+            tints: tints.map(|(own, of_group)| own / of_group).collect(),
+            observations,
+            labels,
+            loss: Tukey { scale, cutoff },
+        }
+    }
+}
+
 /// Tukey cut-offs of the first round, those after it, and the last: true relief is a large residual at first, and what a finer mesh
 /// tells of it is again.
 const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
@@ -129,7 +153,8 @@ impl Rounds<'_> {
             .map(|rendered| rendered.at(&albedo.by_face));
         let observations = self.observe(sites, surface, views, at_faces);
         let loss = loss_of(&observations, albedo);
-        let current = Some((&*albedo, loss));
+        let rendered_by = albedo.clone();
+        let current = Some((&rendered_by, loss));
         if let Some(next) = self.estimate_albedo(sites, &observations, current) {
             *albedo = next;
         }
@@ -139,8 +164,10 @@ impl Rounds<'_> {
             kind @ SiteKind::Vertex => {
                 drop(observations);
                 let sites = Sites::of_kind(kind, &surface.mesh, views, learning);
-                at_vertices =
-                    self.at_vertices(&sites, surface, views, albedo, (rendered.as_ref(), cutoff));
+                let shown = rendered_by.by_vertex(&surface.mesh);
+                let rendered = rendered.as_ref().map(|rendered| rendered.at(&shown));
+                let observations = self.observe(&sites, surface, views, rendered);
+                at_vertices = AtVertices::new(&sites, &surface.mesh, observations, albedo, cutoff);
                 Problem {
                     sites: kind,
                     labels: &at_vertices.labels,
@@ -234,32 +261,6 @@ impl<'a> Rounds<'a> {
     ) -> Observations {
         let motion = SiteMotion::of(surface, sites.kind, self.params.linearisation);
         Observations::new(sites, views, motion, rendered)
-    }
-
-    /// What the views show at the vertices, to solve for displacements by that; `cutoff` is the loss's.
-    fn at_vertices(
-        &self,
-        sites: &Sites,
-        surface: &Surface,
-        views: &[View],
-        albedo: &Albedo,
-        (rendered, cutoff): (Option<&Rendered>, f64),
-    ) -> AtVertices {
-        let labels = albedo.labels_by_vertex(&surface.mesh);
-        // What is between two groups has some of either.
-        let own = albedo.by_vertex(&surface.mesh);
-        let of_group = |&label: &u8| albedo.groups[label as usize];
-        let tints = own.iter().zip(labels.iter().map(of_group));
-        let tints = tints.map(|(own, of_group)| own / of_group).collect();
-        let rendered = rendered.map(|rendered| rendered.at(&own));
-        let observations = self.observe(sites, surface, views, rendered);
-        let scale = observations.residual_scale(sites, &own);
-        AtVertices {
-            observations,
-            labels,
-            tints,
-            loss: Tukey { scale, cutoff },
-        }
     }
 
     /// What is solved for displacements, by what views show at the facets.
