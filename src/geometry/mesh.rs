@@ -1,6 +1,7 @@
 //! Indexed triangle meshes.
 
 use nalgebra::{Point3, Vector3};
+use std::ops::AddAssign;
 
 /// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,17 +36,27 @@ impl TriMesh {
 
     /// Unit normals at the vertices, weighted by face area; zero where the faces around a vertex cancel or there are none.
     pub fn vertex_normals(&self) -> Vec<Vector3<f64>> {
-        let mut normals = vec![Vector3::zeros(); self.vertices.len()];
-        for face in 0..self.faces.len() {
-            let normal = self.face_normal(face);
-            for &vertex in &self.faces[face] {
-                normals[vertex as usize] += normal;
-            }
-        }
+        let mut normals = self.sums_at_vertices(Vector3::zeros(), |face| self.face_normal(face));
         for normal in &mut normals {
             *normal = normal.try_normalize(0.0).unwrap_or_default();
         }
         normals
+    }
+
+    /// Sums of a value of each face over the faces around each vertex, from `zero`.
+    pub fn sums_at_vertices<T: Copy + AddAssign>(
+        &self,
+        zero: T,
+        of_face: impl Fn(usize) -> T,
+    ) -> Vec<T> {
+        let mut sums = vec![zero; self.vertices.len()];
+        for (face, corners) in self.faces.iter().enumerate() {
+            let value = of_face(face);
+            for &vertex in corners {
+                sums[vertex as usize] += value;
+            }
+        }
+        sums
     }
 
     /// Whole surface area, m².

@@ -9,23 +9,13 @@ use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
 use super::observations::{Observation, Observations};
 use super::patches::Patch;
+use super::priors::PriorWeights;
 use super::sites::SiteKind;
 use super::vertex_system::VertexSystem;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
-
-/// Weights of the priors, in units of the surface.
-#[derive(Clone, Copy, Debug)]
-pub struct PriorWeights {
-    /// Of a patch's squared mean displacement, per m²: Eq. (8).
-    pub anchor: f64,
-    /// Of a vertex's squared displacement, per m²; holds what neither shading nor a patch does.
-    pub rest: f64,
-    /// Of a squared difference of displacements along an edge, per m²: Eq. (7).
-    pub smoothness: f64,
-}
 
 /// The surface and what the displacements mean.
 #[derive(Clone, Debug)]
@@ -182,24 +172,6 @@ impl Problem<'_> {
         }
     }
 
-    fn prior_energy(&self, total_m: &[f64]) -> f64 {
-        let rest: f64 = total_m.iter().map(|t| t * t).sum();
-        let anchor: f64 = self
-            .patches
-            .iter()
-            .map(|patch| mean_of(patch, total_m).powi(2))
-            .sum();
-        let smoothness: f64 = self
-            .edges
-            .edges
-            .iter()
-            .map(|&[i, j]| (total_m[i as usize] - total_m[j as usize]).powi(2))
-            .sum();
-        0.5 * (self.priors.rest * rest
-            + self.priors.anchor * anchor
-            + self.priors.smoothness * smoothness)
-    }
-
     fn energy_of(&self, site: &Site) -> f64 {
         let mut energy = 0.0;
         for seen in self.observations.of(site.index) {
@@ -262,67 +234,6 @@ impl Problem<'_> {
                 group.coupling[face[corner] as usize] += coupling[corner];
             }
         }
-    }
-
-    /// Eq. (7) and (8), which are all that is known without images.
-    pub fn prior_matrix(&self, total_m: &[f64], couplings: &Couplings) -> NormalMatrix {
-        let PriorWeights {
-            anchor,
-            rest,
-            smoothness,
-        } = self.priors;
-        let mut matrix = NormalMatrix {
-            diagonal: vec![rest; total_m.len()],
-            off_diagonal: vec![0.0; couplings.pairs.len()],
-            gradient: total_m.iter().map(|t| rest * t).collect(),
-            groups: Vec::new(),
-            at_vertices: None,
-        };
-        for (&[i, j], &entry) in self.edges.edges.iter().zip(&couplings.of_edges) {
-            let (i, j) = (i as usize, j as usize);
-            let slope = smoothness * (total_m[i] - total_m[j]);
-            matrix.diagonal[i] += smoothness;
-            matrix.diagonal[j] += smoothness;
-            matrix.off_diagonal[entry as usize] -= smoothness;
-            matrix.gradient[i] += slope;
-            matrix.gradient[j] -= slope;
-        }
-        for (patch, entries) in self.patches.iter().zip(&couplings.of_patches) {
-            let share = 1.0 / patch.len() as f64;
-            let pull = anchor * share * mean_of(patch, total_m);
-            let stiffness = anchor * share * share;
-            for &vertex in patch {
-                matrix.diagonal[vertex as usize] += stiffness;
-                matrix.gradient[vertex as usize] += pull;
-            }
-            for &entry in entries {
-                matrix.off_diagonal[entry as usize] += stiffness;
-            }
-        }
-        matrix
-    }
-
-    /// The product of [`Self::prior_matrix`] with a vector.
-    pub fn prior_times(&self, x: &[f64]) -> Vec<f64> {
-        let PriorWeights {
-            anchor,
-            rest,
-            smoothness,
-        } = self.priors;
-        let mut product: Vec<f64> = x.iter().map(|x| rest * x).collect();
-        for &[i, j] in &self.edges.edges {
-            let (i, j) = (i as usize, j as usize);
-            let slope = smoothness * (x[i] - x[j]);
-            product[i] += slope;
-            product[j] -= slope;
-        }
-        for patch in self.patches {
-            let pull = anchor / patch.len() as f64 * mean_of(patch, x);
-            for &vertex in patch {
-                product[vertex as usize] += pull;
-            }
-        }
-        product
     }
 
     /// What the views say of one facet.
@@ -406,15 +317,6 @@ pub fn area_vector_by_displacement(surface: &Surface, face: usize) -> [Vector3<f
         let direction = surface.directions[surface.mesh.faces[face][corner] as usize];
         direction.cross(&(corners[(corner + 1) % 3] - corners[(corner + 2) % 3]))
     })
-}
-
-/// Mean displacement of a patch, metres.
-fn mean_of(patch: &Patch, total_m: &[f64]) -> f64 {
-    patch
-        .iter()
-        .map(|&vertex| total_m[vertex as usize])
-        .sum::<f64>()
-        / patch.len() as f64
 }
 
 impl Surface {

@@ -127,12 +127,9 @@ impl Rounds<'_> {
             .into_par_iter()
             .map(|face| tilt_information(problem, surface, (face, albedo[face])))
             .collect();
-        let mut sums = vec![Matrix3::zeros(); surface.mesh.vertices.len()];
-        for (face, information) in surface.mesh.faces.iter().zip(&of_faces) {
-            for &vertex in face {
-                sums[vertex as usize] += information;
-            }
-        }
+        let sums = surface
+            .mesh
+            .sums_at_vertices(Matrix3::zeros(), |face| of_faces[face]);
         let normals = surface.mesh.vertex_normals();
         let share = |(information, normal): (&Matrix3<f64>, &Vector3<f64>)| {
             let worst = worst_known(information, normal) / REDUNDANCY;

@@ -4,6 +4,7 @@ use super::energy::unit_normal;
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
 use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays};
+use super::sites::SiteKind;
 use super::{
     ImageTrust, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate, refine,
 };
@@ -102,20 +103,31 @@ fn light_the_room(snapshot: &mut ShadingSnapshot, is_measured: bool) {
 #[test]
 fn light_of_the_room_does_not_bend_the_surface_where_it_was_measured() {
     let base = FLAT.mesh(0.0025);
-    let dark = refine_from(&base, |_, _| ()).expect("delivered");
-    let lit = refine_from(&base, |_, snapshot| light_the_room(snapshot, true)).expect("delivered");
-    let farthest = |refinement: &Refinement| {
-        let pairs = dark.mesh.vertices.iter().zip(&refinement.mesh.vertices);
-        pairs.fold(0.0f64, |far, (a, b)| far.max((a - b).norm()))
-    };
-    // Counts are rounded otherwise, which may show a vertex to one view more.
-    assert!(farthest(&lit) < 2e-5, "{} m", farthest(&lit));
-    match refine_from(&base, |_, snapshot| light_the_room(snapshot, false)) {
-        Ok(bent) => assert!(farthest(&bent) > 5e-5, "{} m", farthest(&bent)),
-        Err(error) => assert!(
-            matches!(error, RefineError::SlowlyContradicted { .. }),
-            "{error}"
-        ),
+    // Counts are rounded otherwise, which moves a surface solved at vertices by 8 µm at most.
+    for (sites, tolerance_m) in [(SiteKind::Face, 1e-6), (SiteKind::Vertex, 2e-5)] {
+        let params = RefineParams { sites, ..coarse() };
+        let lit = |is_measured: bool| {
+            let light = |_, snapshot: &mut ShadingSnapshot| light_the_room(snapshot, is_measured);
+            refine_with(&base, &params, light)
+        };
+        let dark = refine_with(&base, &params, |_, _| ()).expect("delivered");
+        let farthest = |refinement: &Refinement| {
+            let pairs = dark.mesh.vertices.iter().zip(&refinement.mesh.vertices);
+            pairs.fold(0.0f64, |far, (a, b)| far.max((a - b).norm()))
+        };
+        let measured = lit(true).expect("delivered");
+        assert!(
+            farthest(&measured) < tolerance_m,
+            "{} m",
+            farthest(&measured)
+        );
+        match lit(false) {
+            Ok(bent) => assert!(farthest(&bent) > 5e-5, "{} m", farthest(&bent)),
+            Err(error) => assert!(
+                matches!(error, RefineError::SlowlyContradicted { .. }),
+                "{error}"
+            ),
+        }
     }
 }
 

@@ -37,6 +37,7 @@ mod optics;
 mod params;
 mod patches;
 mod preparation;
+mod priors;
 pub mod remesh;
 mod rendering;
 mod rounds;

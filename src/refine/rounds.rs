@@ -2,10 +2,11 @@
 
 use super::albedo::{Albedo, AlbedoMode, AlbedoParams, Groups};
 use super::alignment::{AlignmentTarget, align_view};
-use super::energy::{PriorWeights, Problem, Surface};
+use super::energy::{Problem, Surface};
 use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
+use super::priors::PriorWeights;
 use super::rendering::{Rendered, RenderedAt};
 use super::site_motion::SiteMotion;
 use super::sites::{SiteKind, Sites, ViewSet};
@@ -153,19 +154,18 @@ impl Rounds<'_> {
             .map(|rendered| rendered.at(&albedo.by_face));
         let observations = self.observe(sites, surface, views, at_faces);
         let loss = loss_of(&observations, albedo);
-        let rendered_by = albedo.clone();
-        let current = Some((&rendered_by, loss));
-        if let Some(next) = self.estimate_albedo(sites, &observations, current) {
-            *albedo = next;
-        }
+        let current = Some((&*albedo, loss));
+        let next = self.estimate_albedo(sites, &observations, current);
+        let next = next.unwrap_or_else(|| albedo.clone());
+        let rendered_by = std::mem::replace(albedo, next);
         let at_vertices;
         let problem = match self.params.sites {
             SiteKind::Face => self.problem(&observations, albedo, loss),
             kind @ SiteKind::Vertex => {
                 drop(observations);
                 let sites = Sites::of_kind(kind, &surface.mesh, views, learning);
-                let shown = rendered_by.by_vertex(&surface.mesh);
-                let rendered = rendered.as_ref().map(|rendered| rendered.at(&shown));
+                let rendered = rendered.map(|of| (of, rendered_by.by_vertex(&surface.mesh)));
+                let rendered = rendered.as_ref().map(|(of, shown)| of.at(shown));
                 let observations = self.observe(&sites, surface, views, rendered);
                 at_vertices = AtVertices::new(&sites, &surface.mesh, observations, albedo, cutoff);
                 Problem {

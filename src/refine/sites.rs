@@ -112,15 +112,9 @@ impl Sites {
     /// The vertices of a mesh that nobody looks at.
     fn of_vertices(mesh: &TriMesh) -> Sites {
         let n_vertices = mesh.vertices.len();
-        let mut areas_m2 = vec![0.0; n_vertices];
-        let mut along = vec![Vector3::zeros(); n_vertices];
-        for (face, corners) in mesh.faces.iter().enumerate() {
-            let normal = mesh.face_normal(face);
-            for &vertex in corners {
-                areas_m2[vertex as usize] += normal.norm() / 6.0;
-                along[vertex as usize] += normal / 6.0;
-            }
-        }
+        let third = |face| mesh.face_normal(face) / 6.0;
+        let along = mesh.sums_at_vertices(Vector3::zeros(), third);
+        let areas_m2 = mesh.sums_at_vertices(0.0, |face| third(face).norm());
         let normal = |(along, area_m2): (&Vector3<f64>, &f64)| match along.norm() {
             norm if norm > MIN_FLATNESS * area_m2 => along / norm,
             _ => Vector3::zeros(),

@@ -5,10 +5,11 @@
 
 use super::RefineError;
 use super::albedo::Albedo;
-use super::energy::{Block, NormalMatrix, PriorWeights, Problem};
+use super::energy::{Block, NormalMatrix, Problem};
 use super::observations::Observations;
 use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
+use super::priors::PriorWeights;
 use super::rounds::{State, final_loss};
 use super::sites::{Sites, ViewSet};
 use super::solver::Step;

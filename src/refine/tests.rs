@@ -2,10 +2,11 @@
 
 use super::alignment::{AlignmentParams, AlignmentTarget, align_view};
 use super::couplings::Couplings;
-use super::energy::{PriorWeights, Problem, Surface};
+use super::energy::{Problem, Surface};
 use super::numeric::JacobianMode;
 use super::observations::Observations;
 use super::optics::Optics;
+use super::priors::PriorWeights;
 use super::scenes::{
     ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views,
 };

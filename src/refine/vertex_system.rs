@@ -66,14 +66,8 @@ impl VertexSystem {
         let least = MIN_SIZE * 2.0 * mesh.area_m2() / n_faces.max(1) as f64;
         let size = |face| mesh.face_normal(face).norm().max(least);
         let sizes: Vec<f64> = (0..n_faces).map(size).collect();
-        let (mut along, mut rings) = (vec![Vector3::zeros(); n_vertices], vec![0.0; n_vertices]);
-        for (face, corners) in mesh.faces.iter().enumerate() {
-            let normal = mesh.face_normal(face);
-            for &vertex in corners {
-                along[vertex as usize] += normal;
-                rings[vertex as usize] += sizes[face];
-            }
-        }
+        let along = mesh.sums_at_vertices(Vector3::zeros(), |face| mesh.face_normal(face));
+        let rings = mesh.sums_at_vertices(0.0, |face| sizes[face]);
         let vertices = (0..n_vertices).into_par_iter().with_min_len(TILE);
         let terms = vertices.map(|vertex| {
             let is_seen = !problem.observations.of(vertex).is_empty();

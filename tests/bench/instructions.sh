@@ -28,7 +28,7 @@ trap 'rm -rf "$folder"' EXIT
 "$program" replay "$session" --out "$folder/scan" >/dev/null 2>&1
 valgrind --tool=callgrind "--callgrind-out-file=$folder/counts" "$program" refine "$folder/scan" --out "$folder/refined" --threads 1 >/dev/null 2>&1
 callgrind_annotate --inclusive=yes --auto=no "$folder/counts" >"$folder/functions"
-for kernel in refine::refine geometry::rasterise::rasterise refine::sites::Sites::new refine::observations::Observations::every \
+for kernel in refine::refine geometry::rasterise::rasterise refine::sites::Sites::seen_by refine::observations::Observations::every \
     refine::rendering::render refine::alignment::align_view refine::energy::Problem::linearise refine::cholesky::Analysis::factorise; do
     # A function has a line for each file that is inlined into it; the first has the most.
     awk -v kernel=":relief::$kernel" '
