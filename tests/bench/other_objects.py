@@ -31,6 +31,8 @@ from other_surroundings import unit
 
 # Light over other surfaces is gathered by so many rays: on the object at every pixel, on the rest at every fourth.
 GATHERED, COARSE = 64, 4
+# A pixel is integrated by two points an axis so far from its middle (Gauss), which blur as much as all of it does.
+GAUSS = 0.5 / 3**0.5
 
 
 def normals_of(v, f):
@@ -130,7 +132,7 @@ class Kinect:
         height, width = self.slant.shape
         by_u, by_v = np.gradient(self.rays, axis=1), np.gradient(self.rays, axis=0)
         over_others, longer = None, None
-        for du, dv in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
+        for du, dv in ((-GAUSS, -GAUSS), (GAUSS, -GAUSS), (-GAUSS, GAUSS), (GAUSS, GAUSS)):
             ray = unit(self.rays + du * by_u + dv * by_v) @ turn.T
             t, normal, albedo = self.scene.hit(at, ray)
             seen = np.isfinite(t)
