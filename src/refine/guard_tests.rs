@@ -6,7 +6,8 @@ use super::held_out::{HeldOut, ImageError, Judgement};
 use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays};
 use super::sites::SiteKind;
 use super::{
-    ImageTrust, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate, refine,
+    ImageTrust, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate,
+    refine,
 };
 use crate::geometry::TriMesh;
 use crate::shading::{Calibration, Gloss};
@@ -292,7 +293,7 @@ fn more_views_than_can_be_used_are_refused() {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let base = FLAT.mesh(0.0025);
-    let snapshots = vec![FLAT.snapshot(&optics, &poses(0.0)[0]); 65];
+    let snapshots = vec![FLAT.snapshot(&optics, &poses(0.0)[0]); MAX_VIEWS + 1];
     let subject = Subject {
         scene: &base,
         object: &base,
@@ -302,7 +303,9 @@ fn more_views_than_can_be_used_are_refused() {
     let result = refine(&subject, &RefineParams::default(), |_| true);
     assert_eq!(
         result.err(),
-        Some(RefineError::TooManyViews { n_views: 65 })
+        Some(RefineError::TooManyViews {
+            n_views: MAX_VIEWS + 1
+        })
     );
 }
 

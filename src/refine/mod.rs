@@ -87,7 +87,7 @@ use sites::{Sites, ViewError};
 use view::View;
 
 /// Most views that one refinement takes.
-pub const MAX_VIEWS: usize = 64;
+pub const MAX_VIEWS: usize = 128;
 
 /// What a view ended as.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -6,7 +6,7 @@ use super::observations::Observations;
 use super::optics::Optics;
 use super::rounds::{final_loss, prior_weights, radius_about};
 use super::site_motion::SiteMotion;
-use super::sites::Sites;
+use super::sites::{Sites, ViewSet};
 use super::solver::{Pattern, SolverParams, minimise};
 use super::view::{ImageTrust, View, ViewContext};
 use super::{RefineParams, patches};
@@ -257,7 +257,7 @@ pub fn solved(
     let optics = optics(&rays, &calibration);
     let views = views(hidden, &mesh, &optics, &poses(0.5));
     let mut surface = surface_of(mesh);
-    let sites = Sites::of_kind(params.sites, &surface.mesh, &views, u64::MAX);
+    let sites = Sites::of_kind(params.sites, &surface.mesh, &views, ViewSet::MAX);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, params.patch_m);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);

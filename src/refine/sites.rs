@@ -46,7 +46,7 @@ pub struct ViewError {
 const MIN_FLATNESS: f64 = 0.4;
 
 /// A set of views: bit k stands for view k.
-pub type ViewSet = u64;
+pub type ViewSet = u128;
 
 impl Sites {
     /// Finds the sites of a mesh at its facets and who of a set of views sees them.

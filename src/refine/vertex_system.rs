@@ -224,7 +224,7 @@ mod tests {
         ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views,
     };
     use super::super::site_motion::{Linearisation, SiteMotion};
-    use super::super::sites::{SiteKind, Sites};
+    use super::super::sites::{SiteKind, Sites, ViewSet};
     use super::super::solver::SolverParams;
     use super::*;
     use crate::geometry::{EdgeAdjacency, TriMesh};
@@ -271,7 +271,7 @@ mod tests {
         let optics = optics(&rays, &calibration);
         let views = views(&HIDDEN, &mesh, &optics, &poses(0.5));
         let surface = surface_of(mesh);
-        let sites = Sites::of_kind(SiteKind::Vertex, &surface.mesh, &views, u64::MAX);
+        let sites = Sites::of_kind(SiteKind::Vertex, &surface.mesh, &views, ViewSet::MAX);
         let motion = SiteMotion::of(&surface, SiteKind::Vertex, Linearisation::Full);
         let edges = EdgeAdjacency::new(&surface.mesh);
         let couplings = Couplings::new(&surface.mesh, &edges, &[]);

@@ -79,7 +79,7 @@ impl SnapshotParams {
     pub fn validate(&self) -> Result<(), String> {
         let max_exposures = self.max_exposures as f64;
         for (key, value, low, high) in [
-            ("max_snapshots", self.max_snapshots as f64, 1.0, 64.0),
+            ("max_snapshots", self.max_snapshots as f64, 1.0, 128.0),
             ("min_gain_share", self.min_gain_share, 0.0, 0.5),
             (
                 "max_rotation_rad_per_s",
@@ -140,12 +140,12 @@ mod tests {
     fn defaults_are_valid_and_bad_values_are_named() {
         assert_eq!(SnapshotParams::default().validate(), Ok(()));
         let params = SnapshotParams {
-            max_snapshots: 65,
+            max_snapshots: 129,
             ..SnapshotParams::default()
         };
         assert_eq!(
             params.validate(),
-            Err("snapshot.max_snapshots is 65, must be 1 to 64".into())
+            Err("snapshot.max_snapshots is 129, must be 1 to 128".into())
         );
         let params = SnapshotParams {
             max_saturated_share: f64::NAN,
