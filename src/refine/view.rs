@@ -136,7 +136,13 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// How much a facet of this area counts: the pixels that it covers, at most one.
+    /// A site's area as the camera sees it, m²: foreshortened.
+    pub fn foreshortened_m2(&self, area_m2: f64) -> f64 {
+        let from_camera = &self.look.point_camera.coords;
+        area_m2 * (-from_camera.dot(&self.normal_camera) / from_camera.norm()).max(0.0)
+    }
+
+    /// How much a site of this area counts: the pixels that it covers, at most one.
     pub fn covered(&self, view: &View, area_m2: f64) -> f64 {
         let per_m2 = view.pixels_per_m2(&self.look.point_camera);
         (area_m2 * per_m2.dot(&self.normal_camera)).clamp(0.0, 1.0)
