@@ -1,17 +1,17 @@
-//! Albedo: of each facet, Eq. (3), of the whole surface, Eq. (2), or of groups of facets that share one material.
+//! Albedo: of each site, Eq. (3), of the whole surface, Eq. (2), or of groups of sites that share one material.
 //!
 //! All are ratios of sums, `Σ w s I / Σ w s²` with `s = gain (n·l)/d²`; the mean of ratios that the paper prints is biased
 //! by grazing samples. Groups are the components of a mixture of Gaussians on log albedo whose number the Bayesian information
-//! criterion chooses, or the paper's clusters; facets are given to them by Eq. (4), neighbours together, by expansion moves.
+//! criterion chooses, or the paper's clusters; sites are given to them by Eq. (4), neighbours together, by expansion moves.
 //! This is where a round begins: `minimise` then moves the groups' albedos together with the surface. Within a group albedo may
 //! change slowly, as the base surface tells it (`tint`).
 
 use super::clusters::Clusters;
 use super::expansion::Labelling;
 use super::median_albedo::medians;
-use super::mixture::{CORRELATED, Mixture};
+use super::mixture::Mixture;
 use super::observations::Observations;
-use super::sites::Sites;
+use super::sites::{SiteKind, Sites};
 use super::tint::tints;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
@@ -19,7 +19,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// How facets are put into groups of one albedo.
+/// How sites are put into groups of one albedo.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AlbedoMode {
@@ -34,7 +34,7 @@ pub enum AlbedoMode {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AlbedoParams {
-    /// How facets are put into groups.
+    /// How sites are put into groups.
     pub mode: AlbedoMode,
     /// Whether albedo may change slowly within a group; never in the paper's mode.
     pub tints: bool,
@@ -52,31 +52,54 @@ impl Default for AlbedoParams {
 /// Numerator and denominator of a ratio of sums.
 pub type Ratio = (f64, f64);
 
-/// Albedo times the light's strength, m², by facet and by group.
+/// Albedo times the light's strength, m², by site and by group.
 #[derive(Clone, Debug)]
 pub struct Albedo {
-    /// Albedo of each facet: that of its group times its tint.
-    pub by_face: Vec<f64>,
-    /// By which factor each facet differs from its group; it changes slowly over the surface.
+    /// Albedo of each site: that of its group times its tint.
+    pub by_site: Vec<f64>,
+    /// By which factor each site differs from its group; it changes slowly over the surface.
     pub tints: Vec<f64>,
-    /// Group of each facet.
+    /// Group of each site.
     pub labels: Vec<u8>,
     /// Albedo of each group, ascending.
     pub groups: Vec<f64>,
-    /// Robust standard deviation of the facets' own log albedos about their groups'.
+    /// Robust standard deviation of the sites' own log albedos about their groups'.
     pub spread: f64,
 }
 
-/// Standard deviation of a facet's own log albedo that its noisy normal makes, at least.
+/// Standard deviation of a site's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
-/// Groups whose logarithms of albedo differ by less are one: what changes slowly by less is told as tints. A facet keeps its tint
+/// Groups whose logarithms of albedo differ by less are one: what changes slowly by less is told as tints. A site keeps its tint
 /// while that of its group changes by less.
 const SAME_GROUP: f64 = 0.1;
-/// Parts of an object meet where neighbouring facets are folded towards one another by more, 45°: of `pot-k1`'s labels 96.0, 96.5, 96.6 and
-/// 95.9 % are pure with cosines of 0.9, 0.8, 0.7 and 0.5.
-const MAX_FOLD_COSINE: f64 = 0.7;
-/// Cost of each neighbour in another group, in units of an independent negative log likelihood: V of Eq. (4).
-const POTTS: f64 = 1.5;
+/// What of Eq. (4) depends on where sites are.
+struct Neighbourhood {
+    /// Cost of each neighbour in another group, in units of an independent negative log likelihood: V.
+    potts: f64,
+    /// So many neighbours err together; what they tell must not be taken for independent.
+    n_correlated: f64,
+    /// Parts of an object meet where neighbours are folded towards one another by more.
+    max_fold_cosine: f64,
+}
+
+impl Neighbourhood {
+    fn of(kind: SiteKind) -> Self {
+        match kind {
+            // 45°.
+            SiteKind::Face => Neighbourhood {
+                potts: 1.5,
+                n_correlated: 50.0,
+                max_fold_cosine: 0.7,
+            },
+            // Half as many on the same surface, of which a border parts twice as many pairs; the normal of one in a fold is half turned.
+            SiteKind::Vertex => Neighbourhood {
+                potts: 0.75,
+                n_correlated: 25.0,
+                max_fold_cosine: 0.92,
+            },
+        }
+    }
+}
 
 /// Which groups are looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,31 +111,36 @@ pub struct Groups {
 }
 
 impl Albedo {
-    /// Estimates groups and their albedos; `current` gives the residuals whose outliers do not count. `None` where no facet
+    /// Estimates groups and their albedos; `current` gives the residuals whose outliers do not count. `None` where no site
     /// is seen.
     pub fn estimate(
         sites: &Sites,
-        all_neighbours: &[[u32; 3]],
+        all_neighbours: &[[u32; 2]],
         observations: &Observations,
         groups: Groups,
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
         let ratios = ratios(sites, observations, current);
+        let Neighbourhood {
+            potts,
+            n_correlated,
+            max_fold_cosine,
+        } = Neighbourhood::of(sites.kind);
         let (n_groups, costs, neighbours, pair_cost) = match groups.mode {
             AlbedoMode::Mixture => {
                 let own = medians(sites, observations);
                 let logs: Vec<f64> = own.iter().map(|median| median.log).collect();
-                let mixture = Mixture::fit(&logs, groups.at_most, MIN_LOG_SIGMA)?;
-                let cost = |face: usize, group| match &own[face] {
+                let mixture = Mixture::fit(&logs, n_correlated, groups.at_most, MIN_LOG_SIGMA)?;
+                let cost = |site: usize, group| match &own[site] {
                     median if median.log.is_finite() => {
                         median.weight() * mixture.cost(group, median.log)
                     }
                     _ => 0.0,
                 };
                 let costs = costs(own.len(), mixture.len(), cost);
-                let neighbours = within_parts(sites, all_neighbours);
-                // So many facets in the shade of a leaf tell what one of them does.
-                (mixture.len(), costs, neighbours, POTTS * CORRELATED)
+                let neighbours = within_parts(sites, all_neighbours, max_fold_cosine);
+                // So many sites in the shade of a leaf tell what one of them does.
+                (mixture.len(), costs, neighbours, potts * n_correlated)
             }
             AlbedoMode::Paper => {
                 let own: Vec<f64> = ratios
@@ -120,9 +148,9 @@ impl Albedo {
                     .map(|ratio| log_albedo(*ratio).exp())
                     .collect();
                 let clusters = Clusters::fit(&sites.points, &own, groups.at_most)?;
-                let cost = |face, group| clusters.cost(face, group);
+                let cost = |site, group| clusters.cost(site, group);
                 let costs = costs(own.len(), clusters.len(), cost);
-                (clusters.len(), costs, all_neighbours.to_vec(), POTTS)
+                (clusters.len(), costs, all_neighbours.to_vec(), potts)
             }
         };
         let labelling = Labelling {
@@ -162,11 +190,11 @@ impl Albedo {
         logs.windows(2).any(|pair| pair[1] - pair[0] < SAME_GROUP)
     }
 
-    /// The tints of those facets that stay in a group of the same albedo.
+    /// The tints of those sites that stay in a group of the same albedo.
     fn kept_tints(&self, next: &Albedo) -> Vec<f64> {
-        let group = |albedo: &Albedo, face: usize| albedo.groups[albedo.labels[face] as usize];
-        let kept = |(face, &tint): (usize, &f64)| {
-            let change = (group(next, face) / group(self, face)).ln();
+        let group = |albedo: &Albedo, site: usize| albedo.groups[albedo.labels[site] as usize];
+        let kept = |(site, &tint): (usize, &f64)| {
+            let change = (group(next, site) / group(self, site)).ln();
             if change.abs() < SAME_GROUP { tint } else { 1.0 }
         };
         self.tints.iter().enumerate().map(kept).collect()
@@ -181,7 +209,7 @@ impl Albedo {
             .collect();
         let albedo = Self::of_labels(self.labels, n_groups, &untinted);
         Albedo {
-            by_face: by_face(&albedo.groups, &albedo.labels, &tints),
+            by_site: by_site(&albedo.groups, &albedo.labels, &tints),
             tints,
             ..albedo
         }
@@ -203,15 +231,15 @@ impl Albedo {
             .map(|&(n, d)| if d > 0.0 { n / d } else { overall })
             .collect();
         let tints = vec![1.0; labels.len()];
-        let by_face = by_face(&groups, &labels, &tints);
+        let by_site = by_site(&groups, &labels, &tints);
         let mut offsets: Vec<f64> = ratios
             .par_iter()
-            .zip(&by_face)
+            .zip(&by_site)
             .map(|(ratio, albedo): (&Ratio, &f64)| log_albedo(*ratio) - albedo.ln())
             .filter(|offset| offset.is_finite())
             .collect();
         Albedo {
-            by_face,
+            by_site,
             tints,
             labels,
             groups,
@@ -221,35 +249,35 @@ impl Albedo {
 
     /// Gives the groups other albedos.
     pub fn repaint(&mut self, groups: Vec<f64>) {
-        self.by_face = by_face(&groups, &self.labels, &self.tints);
+        self.by_site = by_site(&groups, &self.labels, &self.tints);
         self.groups = groups;
     }
 
     /// All albedos multiplied by a factor.
     pub fn scaled(mut self, factor: f64) -> Albedo {
-        self.by_face
+        self.by_site
             .iter_mut()
             .chain(&mut self.groups)
             .for_each(|albedo| *albedo *= factor);
         self
     }
 
-    /// Mean albedo of the facets round each vertex.
-    pub fn by_vertex(&self, mesh: &TriMesh) -> Vec<f64> {
-        let mut sums = vec![(0.0, 0u32); mesh.vertices.len()];
-        for (face, &albedo) in mesh.faces.iter().zip(&self.by_face) {
-            for &vertex in face {
-                let (sum, n) = sums[vertex as usize];
-                sums[vertex as usize] = (sum + albedo, n + 1);
-            }
+    /// Albedo of each vertex: its site's, or the mean of the facets' round it.
+    pub fn by_vertex(&self, kind: SiteKind, mesh: &TriMesh) -> Vec<f64> {
+        if kind == SiteKind::Vertex {
+            return self.by_site.clone();
         }
-        sums.into_iter()
-            .map(|(sum, n)| sum / n.max(1) as f64)
-            .collect()
+        let sums = mesh.sums_at_vertices(0.0, |face| self.by_site[face]);
+        let n_faces = mesh.sums_at_vertices(0.0, |_| 1.0);
+        let mean = |(sum, n): (&f64, &f64)| sum / n.max(1.0);
+        sums.iter().zip(&n_faces).map(mean).collect()
     }
 
-    /// Group of most facets round each vertex, the darkest of several.
-    pub fn labels_by_vertex(&self, mesh: &TriMesh) -> Vec<u8> {
+    /// Group of each vertex: its site's, or that of most facets round it, the darkest of several.
+    pub fn labels_by_vertex(&self, kind: SiteKind, mesh: &TriMesh) -> Vec<u8> {
+        if kind == SiteKind::Vertex {
+            return self.labels.clone();
+        }
         let n_groups = self.groups.len();
         let mut counts = vec![0u32; n_groups * mesh.vertices.len()];
         for (face, &label) in mesh.faces.iter().zip(&self.labels) {
@@ -264,7 +292,7 @@ impl Albedo {
         counts.chunks_exact(n_groups.max(1)).map(most).collect()
     }
 
-    /// Share of the facets in each group.
+    /// Share of the sites in each group.
     pub fn shares(&self) -> Vec<f64> {
         let mut counts = vec![0usize; self.groups.len()];
         self.labels
@@ -277,16 +305,16 @@ impl Albedo {
     }
 }
 
-fn by_face(groups: &[f64], labels: &[u8], tints: &[f64]) -> Vec<f64> {
-    let of_face = |(&label, tint): (&u8, &f64)| groups[label as usize] * tint;
-    labels.iter().zip(tints).map(of_face).collect()
+fn by_site(groups: &[f64], labels: &[u8], tints: &[f64]) -> Vec<f64> {
+    let of_site = |(&label, tint): (&u8, &f64)| groups[label as usize] * tint;
+    labels.iter().zip(tints).map(of_site).collect()
 }
 
-/// The data term of Eq. (4): the cost of every group for every facet, facet by facet.
-fn costs(n_faces: usize, n_groups: usize, cost: impl Fn(usize, usize) -> f64) -> Vec<f64> {
-    let of_face = |face| (0..n_groups).map(move |group| (face, group));
-    let all = (0..n_faces).flat_map(of_face);
-    all.map(|(face, group)| cost(face, group)).collect()
+/// The data term of Eq. (4): the cost of every group for every site, site by site.
+fn costs(n_sites: usize, n_groups: usize, cost: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+    let of_site = |site| (0..n_groups).map(move |group| (site, group));
+    let all = (0..n_sites).flat_map(of_site);
+    all.map(|(site, group)| cost(site, group)).collect()
 }
 
 fn log_albedo((numerator, denominator): Ratio) -> f64 {
@@ -297,7 +325,7 @@ fn log_albedo((numerator, denominator): Ratio) -> f64 {
     }
 }
 
-/// The sums of each facet over the views that see it.
+/// The sums of each site over the views that see it.
 fn ratios(
     sites: &Sites,
     observations: &Observations,
@@ -305,16 +333,16 @@ fn ratios(
 ) -> Vec<Ratio> {
     (0..sites.points.len())
         .into_par_iter()
-        .map(|face| {
+        .map(|site| {
             let mut sums = (0.0, 0.0);
-            for seen in observations.of(face) {
-                let Some(s) = seen.unit_prediction(&sites.normals[face]) else {
+            for seen in observations.of(site) {
+                let Some(s) = seen.unit_prediction(&sites.normals[site]) else {
                     continue;
                 };
                 let observed = f64::from(seen.observed);
                 let weight = current.map_or(1.0, |(albedo, loss)| {
                     // An outlier to its group may belong to another: it keeps a small say in where it goes.
-                    let robust = loss.weight(observed - albedo.by_face[face] * s);
+                    let robust = loss.weight(observed - albedo.by_site[site] * s);
                     robust.max(1e-3 / (loss.scale * loss.scale))
                 });
                 sums = (sums.0 + weight * s * observed, sums.1 + weight * s * s);
@@ -324,56 +352,22 @@ fn ratios(
         .collect()
 }
 
-/// The neighbours of each facet but for those across a concave fold: there parts meet (Hoffman and Richards 1984), which may well be of
+/// The pairs of neighbours but for those across a concave fold: there parts meet (Hoffman and Richards 1984), which may well be of
 /// two materials.
-fn within_parts(sites: &Sites, neighbours: &[[u32; 3]]) -> Vec<[u32; 3]> {
-    let of_face = |(face, others): (usize, &[u32; 3])| {
-        others.map(|other| match other {
-            u32::MAX => other,
-            _ => {
-                let both = [face, other as usize];
-                let places = both.map(|face| &sites.points[face]);
-                let normals = both.map(|face| &sites.normals[face]);
-                match is_fold(places, normals) {
-                    true => u32::MAX,
-                    false => other,
-                }
-            }
-        })
+fn within_parts(sites: &Sites, neighbours: &[[u32; 2]], max_fold_cosine: f64) -> Vec<[u32; 2]> {
+    let is_within = |pair: &&[u32; 2]| {
+        let places = pair.map(|site| &sites.points[site as usize]);
+        let normals = pair.map(|site| &sites.normals[site as usize]);
+        !is_fold(places, normals, max_fold_cosine)
     };
-    neighbours.par_iter().enumerate().map(of_face).collect()
+    neighbours.par_iter().filter(is_within).copied().collect()
 }
 
-/// Whether two facets, given by their centroids and normals, meet in a concave fold.
-fn is_fold(places: [&Point3<f64>; 2], normals: [&Vector3<f64>; 2]) -> bool {
+/// Whether two sites, given by their places and normals, meet in a concave fold.
+fn is_fold(places: [&Point3<f64>; 2], normals: [&Vector3<f64>; 2], max_fold_cosine: f64) -> bool {
     let [normal, beyond] = normals;
     let along = places[1] - places[0];
-    (beyond - normal).dot(&along) < 0.0 && normal.dot(beyond) < MAX_FOLD_COSINE
-}
-
-/// The faces across the sides of each face; `u32::MAX` on a border. `sides` gives each face's edges.
-pub fn face_neighbours(sides: &[[u32; 3]], n_edges: usize) -> Vec<[u32; 3]> {
-    let mut first = vec![[u32::MAX; 2]; n_edges];
-    for (face, edges) in sides.iter().enumerate() {
-        for &edge in edges {
-            let slot = &mut first[edge as usize];
-            if slot[0] == u32::MAX {
-                slot[0] = face as u32;
-            } else {
-                slot[1] = face as u32;
-            }
-        }
-    }
-    sides
-        .iter()
-        .enumerate()
-        .map(|(face, edges)| {
-            edges.map(|edge| {
-                let [a, b] = first[edge as usize];
-                if a == face as u32 { b } else { a }
-            })
-        })
-        .collect()
+    (beyond - normal).dot(&along) < 0.0 && normal.dot(beyond) < max_fold_cosine
 }
 
 #[cfg(test)]
@@ -388,7 +382,7 @@ mod tests {
         };
         assert!(has_twins([0.165, 0.179]) && has_twins([0.179, 0.165]));
         assert!(!has_twins([0.15, 0.21]));
-        // A group that no facet belongs to has the albedo of all.
+        // A group that no site belongs to has the albedo of all.
         assert!(Albedo::of_labels(vec![0, 0], 2, &[(0.3, 2.0); 2]).has_twins());
     }
 
@@ -402,8 +396,8 @@ mod tests {
         };
         let is_fold = |slope_deg: f64| {
             let wall = rising(slope_deg);
-            let one_way = is_fold([&floor.0, &wall.0], [&floor.1, &wall.1]);
-            let other_way = is_fold([&wall.0, &floor.0], [&wall.1, &floor.1]);
+            let one_way = is_fold([&floor.0, &wall.0], [&floor.1, &wall.1], 0.7);
+            let other_way = is_fold([&wall.0, &floor.0], [&wall.1, &floor.1], 0.7);
             assert_eq!(one_way, other_way);
             one_way
         };
@@ -412,11 +406,11 @@ mod tests {
     }
 
     #[test]
-    fn a_facet_keeps_its_tint_until_it_goes_to_another_material() {
+    fn a_site_keeps_its_tint_until_it_goes_to_another_material() {
         let ratios = [(0.3, 1.0), (0.3, 1.0), (0.7, 1.0), (0.7, 1.0)];
         let tints = vec![0.9, 1.1, 0.9, 1.1];
         let before = Albedo::of_labels(vec![0, 0, 1, 1], 2, &ratios).tinted(tints, &ratios);
-        for (albedo, tint) in before.by_face.iter().zip([0.9, 1.1]) {
+        for (albedo, tint) in before.by_site.iter().zip([0.9, 1.1]) {
             assert!((albedo / before.groups[0] - tint).abs() < 1e-12);
         }
         let next = Albedo {

@@ -46,11 +46,11 @@ impl Default for AlignmentParams {
 pub struct AlignmentTarget<'a> {
     /// The sites of its mesh.
     pub sites: &'a Sites,
-    /// Faces to align by, of those that the view sees.
-    pub faces: &'a [u32],
+    /// Those to align by, of those that the view sees.
+    pub chosen: &'a [u32],
     /// How many sites each of them stands for.
     pub stands_for: f64,
-    /// Albedo of each face.
+    /// Albedo of each site.
     pub albedo: &'a [f64],
     /// Centre of the object, world frame.
     pub centre: Point3<f64>,
@@ -59,16 +59,16 @@ pub struct AlignmentTarget<'a> {
 }
 
 impl AlignmentTarget<'_> {
-    /// Calls `each` with every face to align by that the view shows, its area (m²) and what it looks like.
+    /// Calls `each` with every site to align by that the view shows, its area (m²) and what it looks like.
     pub fn each_sample(&self, view: &View, mut each: impl FnMut(usize, f64, &Sample)) {
         let points = self
-            .faces
+            .chosen
             .iter()
-            .map(|&face| &self.sites.points[face as usize]);
+            .map(|&site| &self.sites.points[site as usize]);
         Gaze::new(view).each(points, |index, look| {
-            let face = self.faces[index] as usize;
-            if let Some(sample) = view.sample(look, &self.sites.normals[face]) {
-                each(face, self.sites.areas_m2[face], &sample);
+            let site = self.chosen[index] as usize;
+            if let Some(sample) = view.sample(look, &self.sites.normals[site]) {
+                each(site, self.sites.areas_m2[site], &sample);
             }
         });
     }
@@ -107,8 +107,8 @@ fn normal_equations(
     let centre = view.camera_from_world * target.centre;
     let (mut jtj, mut jtr) = prior(view, &centre, params);
     let correlated_m2 = params.correlation_m * params.correlation_m;
-    target.each_sample(view, |face, area, sample| {
-        let Some((residual, row)) = row(view, sample, target.albedo[face], &centre) else {
+    target.each_sample(view, |site, area, sample| {
+        let Some((residual, row)) = row(view, sample, target.albedo[site], &centre) else {
             return;
         };
         let correlated = sample.foreshortened_m2(area) / correlated_m2;

@@ -1,4 +1,4 @@
-//! The paper's own way to albedo groups, Sec. 4.2: facets are points (κx, cρ) in four dimensions, their number of groups is that
+//! The paper's own way to albedo groups, Sec. 4.2: sites are points (κx, cρ) in four dimensions, their number of groups is that
 //! of the principal components that hold 95 % of the variance, the groups come from K-means, and the costs of Eq. (4) from
 //! the distances to their centres.
 //!
@@ -8,10 +8,10 @@
 
 use nalgebra::{Matrix4, Point3, Vector4};
 
-/// Facets grouped by position and albedo.
+/// Sites grouped by position and albedo.
 pub struct Clusters {
     centres: Vec<Vector4<f64>>,
-    /// Feature of each facet; `None` where nobody sees it.
+    /// Feature of each site; `None` where nobody sees it.
     features: Vec<Option<Vector4<f64>>>,
     /// Variance within the groups.
     variance: f64,
@@ -21,17 +21,17 @@ pub struct Clusters {
 const KAPPA: f64 = 0.3;
 /// Share of the variance that the components must hold.
 const HELD: f64 = 0.95;
-/// Facets that K-means looks at, at most.
+/// Sites that K-means looks at, at most.
 const MAX_POINTS: usize = 20_000;
 /// Iterations of K-means at most.
 const MAX_ITERATIONS: usize = 50;
 
 impl Clusters {
-    /// Groups facets by their centroids and albedos, of which those that are not finite do not count, into `max_groups` at most.
+    /// Groups sites by their places and albedos, of which those that are not finite do not count, into `max_groups` at most.
     /// `None` without any.
-    pub fn fit(centroids: &[Point3<f64>], albedo: &[f64], max_groups: usize) -> Option<Clusters> {
-        let seen = || (0..albedo.len()).filter(|&face| albedo[face].is_finite());
-        let raw = |face: usize| centroids[face].coords.push(albedo[face]);
+    pub fn fit(places: &[Point3<f64>], albedo: &[f64], max_groups: usize) -> Option<Clusters> {
+        let seen = || (0..albedo.len()).filter(|&site| albedo[site].is_finite());
+        let raw = |site: usize| places[site].coords.push(albedo[site]);
         let n = seen().count() as f64;
         if n == 0.0 {
             return None;
@@ -39,16 +39,16 @@ impl Clusters {
         let mean = seen().map(raw).sum::<Vector4<f64>>() / n;
         let square = |v: Vector4<f64>| v.component_mul(&v);
         let variances = seen()
-            .map(|face| square(raw(face) - mean))
+            .map(|site| square(raw(site) - mean))
             .sum::<Vector4<f64>>()
             / n;
         // One scale for all three axes: the shape of the object is kept.
         let position = KAPPA / variances.xyz().mean().sqrt().max(f64::MIN_POSITIVE);
         let brightness = 1.0 / variances.w.sqrt().max(f64::MIN_POSITIVE);
         let scale = Vector4::new(position, position, position, brightness);
-        let feature = |face: usize| {
-            let is_seen = albedo[face].is_finite();
-            is_seen.then(|| (raw(face) - mean).component_mul(&scale))
+        let feature = |site: usize| {
+            let is_seen = albedo[site].is_finite();
+            is_seen.then(|| (raw(site) - mean).component_mul(&scale))
         };
         let features: Vec<_> = (0..albedo.len()).map(feature).collect();
         let points: Vec<_> = features.iter().flatten().copied().collect();
@@ -73,9 +73,9 @@ impl Clusters {
         self.centres.len()
     }
 
-    /// The data term of Eq. (4): cost of a group for a facet; nothing for a facet that nobody sees.
-    pub fn cost(&self, face: usize, group: usize) -> f64 {
-        self.features[face].map_or(0.0, |feature| {
+    /// The data term of Eq. (4): cost of a group for a site; nothing for one that nobody sees.
+    pub fn cost(&self, site: usize, group: usize) -> f64 {
+        self.features[site].map_or(0.0, |feature| {
             (feature - self.centres[group]).norm_squared() / (2.0 * self.variance)
         })
     }

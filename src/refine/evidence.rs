@@ -6,13 +6,15 @@
 //! tilt of the surface round a vertex is known worst, the share of what is known that the images say and not the prior.
 //! A surface seen along the light alone has a coverage of 0, from however many views.
 //!
+//! Where sites are at vertices, the normal matrix here is the bound that couples by edges alone.
+//!
 //! Not covered: errors that all views share, such as those of the calibration, and a wrong albedo. Sigma is therefore one of
 //! detail: on a scan with known truth it puts vertices in the order of their errors, and lies within a factor of two of the error
 //! of their detail, while the slow shape was off by four times as much.
 
-use super::energy::{Problem, Surface, unit_normal};
+use super::energy::{Problem, Surface};
 use super::rounds::{Rounds, State, final_loss};
-use super::sites::{Sites, ViewSet};
+use super::sites::{SiteKind, Sites, ViewSet};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -100,7 +102,7 @@ impl Rounds<'_> {
             albedo,
         } = state;
         let observations = self.observe(sites, surface, views, None);
-        let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
+        let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
         let problem = self.problem(&observations, albedo, loss);
         let with_images =
             problem.linearise(surface, &albedo.groups, self.level.pattern.couplings());
@@ -115,21 +117,31 @@ impl Rounds<'_> {
             confidence: pairs
                 .map(|(with, without)| (1.0 - with / without).clamp(0.0, 1.0))
                 .collect(),
-            coverage: self.coverage(&problem, surface, &albedo.by_face),
+            coverage: self.coverage(&problem, surface, (sites, &albedo.by_site)),
             n_views: views_of_vertices(surface, sites),
         })
     }
 
-    fn coverage(&self, problem: &Problem, surface: &Surface, albedo: &[f64]) -> Vec<f64> {
+    fn coverage(
+        &self,
+        problem: &Problem,
+        surface: &Surface,
+        (sites, albedo): (&Sites, &[f64]),
+    ) -> Vec<f64> {
         let slope_sigma = self.params.slope_sigma_rad;
         let prior = 1.0 / (slope_sigma * slope_sigma);
-        let of_faces: Vec<Matrix3<f64>> = (0..surface.mesh.faces.len())
+        let of_sites: Vec<Matrix3<f64>> = (0..albedo.len())
             .into_par_iter()
-            .map(|face| tilt_information(problem, surface, (face, albedo[face])))
+            .map(|site| tilt_information(problem, (site, &sites.normals[site]), albedo[site]))
             .collect();
-        let sums = surface
-            .mesh
-            .sums_at_vertices(Matrix3::zeros(), |face| of_faces[face]);
+        let sums = match sites.kind {
+            SiteKind::Face => {
+                let mesh = &surface.mesh;
+                mesh.sums_at_vertices(Matrix3::zeros(), |face| of_sites[face])
+            }
+            // It stands for a third of the facets round it.
+            SiteKind::Vertex => of_sites.iter().map(|own| own * 3.0).collect(),
+        };
         let normals = surface.mesh.vertex_normals();
         let share = |(information, normal): (&Matrix3<f64>, &Vector3<f64>)| {
             let worst = worst_known(information, normal) / REDUNDANCY;
@@ -139,18 +151,15 @@ impl Rounds<'_> {
     }
 }
 
-/// What a facet's observations say of its tilt: the weighted sum of squared derivatives by the normal, per rad².
+/// What a site's observations say of its tilt: the weighted sum of squared derivatives by the normal, per rad².
 fn tilt_information(
     problem: &Problem,
-    surface: &Surface,
-    (face, albedo): (usize, f64),
+    (site, normal): (usize, &Vector3<f64>),
+    albedo: f64,
 ) -> Matrix3<f64> {
-    let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
-        return Matrix3::zeros();
-    };
     let mut information = Matrix3::zeros();
-    for seen in problem.observations.of(face) {
-        if let Some(residual) = seen.residual(&normal, albedo) {
+    for seen in problem.observations.of(site) {
+        if let Some(residual) = seen.residual(normal, albedo) {
             let weight = problem.loss.weight(residual) * f64::from(seen.covered);
             let by_normal = seen.light() * albedo;
             information += by_normal * by_normal.transpose() * weight;
@@ -175,12 +184,17 @@ fn worst_known(information: &Matrix3<f64>, normal: &Vector3<f64>) -> f64 {
     (mean - half.hypot(within.m12)).max(0.0)
 }
 
-/// How many views see any of the facets round each vertex.
+/// How many views see each vertex, or any of the facets round it.
 fn views_of_vertices(surface: &Surface, sites: &Sites) -> Vec<u8> {
     let mut sets: Vec<ViewSet> = vec![0; surface.mesh.vertices.len()];
-    for (face, visible) in surface.mesh.faces.iter().zip(&sites.visible) {
-        for &vertex in face {
-            sets[vertex as usize] |= visible;
+    match sites.kind {
+        SiteKind::Vertex => sets.copy_from_slice(&sites.visible),
+        SiteKind::Face => {
+            for (face, visible) in surface.mesh.faces.iter().zip(&sites.visible) {
+                for &vertex in face {
+                    sets[vertex as usize] |= visible;
+                }
+            }
         }
     }
     sets.iter().map(|set| set.count_ones() as u8).collect()

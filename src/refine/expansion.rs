@@ -10,14 +10,12 @@ pub struct Labelling<'a> {
     pub costs: &'a [f64],
     /// How many labels there are.
     pub n_labels: usize,
-    /// Neighbours of each site; `u32::MAX` is none.
-    pub neighbours: &'a [[u32; 3]],
+    /// Every two sites that are neighbours, once.
+    pub neighbours: &'a [[u32; 2]],
     /// Cost of two neighbours with different labels.
     pub pair_cost: f64,
 }
 
-/// No neighbour.
-const NONE: u32 = u32::MAX;
 /// Whole numbers of a network to a unit of cost.
 const RESOLUTION: f64 = 1024.0;
 /// No label costs this much more than another: less than what rounding could carry away.
@@ -51,19 +49,8 @@ impl Labelling<'_> {
             .chunks_exact(self.n_labels.max(1))
             .map(are_equal)
             .collect();
-        let neighbours: Vec<[u32; 3]> = self
-            .neighbours
-            .iter()
-            .zip(&is_silent)
-            .map(|(others, &silent)| {
-                others.map(
-                    |other| match silent || other == NONE || is_silent[other as usize] {
-                        true => NONE,
-                        false => other,
-                    },
-                )
-            })
-            .collect();
+        let speak = |pair: &&[u32; 2]| pair.iter().all(|&site| !is_silent[site as usize]);
+        let neighbours: Vec<[u32; 2]> = self.neighbours.iter().filter(speak).copied().collect();
         let among_themselves = Labelling {
             neighbours: &neighbours,
             ..*self
@@ -75,14 +62,19 @@ impl Labelling<'_> {
 
     /// Gives silent sites the label of the nearest others, by steps from neighbour to neighbour.
     fn spread(&self, labels: &mut [u8], mut is_silent: Vec<bool>) {
+        let mut beside_silent: Vec<Vec<usize>> = vec![Vec::new(); labels.len()];
+        for pair in self.neighbours {
+            let [p, q] = pair.map(|site| site as usize);
+            for (site, other) in [(p, q), (q, p)] {
+                if is_silent[other] {
+                    beside_silent[site].push(other);
+                }
+            }
+        }
         let mut queue: VecDeque<usize> =
             (0..labels.len()).filter(|&site| !is_silent[site]).collect();
         while let Some(site) = queue.pop_front() {
-            for other in self.neighbours[site]
-                .into_iter()
-                .filter(|&other| other != NONE)
-            {
-                let other = other as usize;
+            for &other in &beside_silent[site] {
                 if std::mem::take(&mut is_silent[other]) {
                     labels[other] = labels[site];
                     queue.push_back(other);
@@ -92,7 +84,7 @@ impl Labelling<'_> {
     }
 
     fn cut(&self) -> Vec<u8> {
-        let n_sites = self.neighbours.len();
+        let n_sites = self.costs.len() / self.n_labels.max(1);
         match self.n_labels {
             0 | 1 => vec![0; n_sites],
             2 => self.expanded(&vec![0; n_sites], 1),
@@ -144,15 +136,8 @@ impl Labelling<'_> {
 
     /// Every two neighbours once.
     fn pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        self.neighbours
-            .iter()
-            .enumerate()
-            .flat_map(|(site, others)| {
-                let others = others.iter().map(|&other| other as usize);
-                others
-                    .filter(move |&other| other != NONE as usize && site < other)
-                    .map(move |other| (site, other))
-            })
+        let pair = |&[p, q]: &[u32; 2]| (p as usize, q as usize);
+        self.neighbours.iter().map(pair)
     }
 
     /// The best labelling in which sites keep their labels or take `label`: those beyond the cut, on the sink's side.
@@ -164,12 +149,17 @@ impl Labelling<'_> {
         let mut terminals: Vec<i64> = (0..labels.len())
             .map(|site| whole(self.cost(site, label) - self.cost(site, labels[site])))
             .collect();
-        // Three neighbours cannot outweigh a larger difference: what such a site does needs no cut.
+        let mut all_pairs = vec![0; labels.len()];
+        for (p, q) in self.pairs() {
+            all_pairs[p] += pair;
+            all_pairs[q] += pair;
+        }
+        // All its neighbours cannot outweigh a larger difference: what such a site does needs no cut.
         let fates: Vec<Fate> = (0..labels.len())
             .map(|site| match terminals[site] {
                 _ if labels[site] == label => Fate::Changes,
-                difference if difference > 3 * pair => Fate::Keeps,
-                difference if difference < -3 * pair => Fate::Changes,
+                difference if difference > all_pairs[site] => Fate::Keeps,
+                difference if difference < -all_pairs[site] => Fate::Changes,
                 _ => Fate::Open,
             })
             .collect();
@@ -203,25 +193,17 @@ impl Labelling<'_> {
 mod tests {
     use super::*;
 
-    /// A ring of sites, every other of them joined to the one across.
-    fn ring(n: usize) -> Vec<[u32; 3]> {
-        let across = |site: usize| {
-            let other = (site + n / 2) % n;
-            if n.is_multiple_of(2) {
-                other as u32
-            } else {
-                u32::MAX
-            }
-        };
-        (0..n)
-            .map(|site| {
-                [
-                    ((site + 1) % n) as u32,
-                    ((site + n - 1) % n) as u32,
-                    across(site),
-                ]
-            })
+    /// A ring of an even number of sites, each joined to the one across.
+    fn ring(n: u32) -> Vec<[u32; 2]> {
+        let beside = (0..n).map(|site| [site, (site + 1) % n]);
+        beside
+            .chain((0..n / 2).map(|site| [site, site + n / 2]))
             .collect()
+    }
+
+    /// Sites in a row.
+    fn strip(n: u32) -> Vec<[u32; 2]> {
+        (1..n).map(|site| [site - 1, site]).collect()
     }
 
     fn costs(n: usize, n_labels: usize, turn: usize) -> Vec<f64> {
@@ -266,15 +248,7 @@ mod tests {
     #[test]
     fn sites_that_all_labels_cost_the_same_follow_the_nearest_and_hold_nobody() {
         // Two at the left end prefer the first label, two at the right end the second; nothing is known of those between.
-        let neighbours: Vec<[u32; 3]> = (0..10u32)
-            .map(|site| {
-                [
-                    site.wrapping_sub(1),
-                    if site < 9 { site + 1 } else { NONE },
-                    NONE,
-                ]
-            })
-            .collect();
+        let neighbours = strip(10);
         let mut costs = vec![0.3; 20];
         costs[..4].copy_from_slice(&[0.0, 1.0, 0.0, 1.0]);
         costs[16..].copy_from_slice(&[1.0, 0.0, 1.0, 0.0]);
@@ -292,15 +266,7 @@ mod tests {
     fn a_lone_site_follows_its_neighbours_and_a_block_does_not() {
         // A strip of sites in which one in the middle, and a block of ten at the end, prefer the second label a little.
         let n = 40u32;
-        let neighbours: Vec<[u32; 3]> = (0..n)
-            .map(|site| {
-                [
-                    site.wrapping_sub(1),
-                    if site + 1 < n { site + 1 } else { u32::MAX },
-                    u32::MAX,
-                ]
-            })
-            .collect();
+        let neighbours = strip(n);
         let prefers = |site: u32| site == 12 || site >= 30;
         let costs: Vec<f64> = (0..n)
             .flat_map(|site| {

@@ -141,8 +141,8 @@ fn settle_and_render(
     albedo: &Albedo,
     view: &mut View,
 ) -> Image<f32> {
-    let sites = rounds.settle(view, mesh, &albedo.by_face);
-    render(view, mesh, (&sites, 0), &albedo.by_face)
+    let sites = rounds.settle(view, mesh, &albedo.by_site);
+    render(view, mesh, (&sites, 0), &albedo.by_site)
 }
 
 fn error(view: &View, rendered: &Image<f32>) -> Image<f32> {

@@ -3,7 +3,7 @@
 //! Rounds begin on a coarse mesh: what the fused surface gets wrong by millimetres is wider than its facets, and a quarter of the
 //! sites tell it. The next mesh halves all edges and takes over how far the coarser one was displaced.
 
-use super::albedo::{Albedo, face_neighbours};
+use super::albedo::Albedo;
 use super::couplings::Couplings;
 use super::energy::Surface;
 use super::error::RefineError;
@@ -11,6 +11,7 @@ use super::params::RefineParams;
 use super::patches::{self, Patch};
 use super::remesh::{RemeshParams, Subdivided, remesh, subdivide};
 use super::rounds::State;
+use super::sites::SiteKind;
 use super::solver::Pattern;
 use crate::geometry::{EdgeAdjacency, TriMesh, TriangleBvh};
 
@@ -24,8 +25,8 @@ pub struct Level {
     pub edges: EdgeAdjacency,
     /// Patches that depth holds.
     pub patches: Vec<Patch>,
-    /// Faces across each face's sides.
-    pub neighbours: Vec<[u32; 3]>,
+    /// Every two neighbouring sites.
+    pub neighbours: Vec<[u32; 2]>,
     /// Pattern of the normal matrix.
     pub pattern: Pattern,
     /// As in [`Subdivided`]; empty for the coarsest.
@@ -70,7 +71,10 @@ impl Level {
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
         let couplings = Couplings::new(&mesh, &edges, &patches);
-        let neighbours = face_neighbours(&couplings.of_faces, couplings.pairs.len());
+        let neighbours = match params.sites {
+            SiteKind::Face => neighbouring_faces(&couplings.of_faces, couplings.pairs.len()),
+            SiteKind::Vertex => edges.edges.clone(),
+        };
         let pattern = Pattern::new(&mesh.vertices, couplings);
         Level {
             pattern,
@@ -90,8 +94,8 @@ impl Level {
         Level::new(mesh, 0.5 * self.edge_length_m, parents, params)
     }
 
-    /// What a state of the next coarser level is on this one.
-    pub fn prolonged(&self, coarser: &Level, state: &State) -> State {
+    /// What a state of the next coarser level, with sites of a kind, is on this one.
+    pub fn prolonged(&self, coarser: &Level, kind: SiteKind, state: &State) -> State {
         let State {
             surface,
             views,
@@ -113,18 +117,40 @@ impl Level {
             },
             views: views.clone(),
             albedo: Albedo {
-                by_face: of_children(&albedo.by_face),
-                labels: of_children(&albedo.labels),
-                tints: of_children(&albedo.tints),
+                by_site: self.of_children(kind, &albedo.by_site),
+                labels: self.of_children(kind, &albedo.labels),
+                tints: self.of_children(kind, &albedo.tints),
                 ..albedo.clone()
             },
         }
     }
+
+    /// What holds of the coarser level's sites, for the four that each face becomes, or for vertices and the first end of the edges
+    /// that others halve.
+    fn of_children<T: Copy>(&self, kind: SiteKind, of_sites: &[T]) -> Vec<T> {
+        match kind {
+            SiteKind::Face => of_sites.iter().flat_map(|&value| [value; 4]).collect(),
+            SiteKind::Vertex => {
+                let parents = self.parents.iter();
+                parents.map(|&[p, _]| of_sites[p as usize]).collect()
+            }
+        }
+    }
 }
 
-/// What holds of each face, for the four that it becomes.
-fn of_children<T: Copy>(of_faces: &[T]) -> Vec<T> {
-    of_faces.iter().flat_map(|&value| [value; 4]).collect()
+/// Every two faces that share a side, from each face's sides.
+fn neighbouring_faces(sides: &[[u32; 3]], n_edges: usize) -> Vec<[u32; 2]> {
+    let mut first = vec![u32::MAX; n_edges];
+    let mut pairs = Vec::with_capacity(sides.len() * 3 / 2);
+    for (face, edges) in (0u32..).zip(sides) {
+        for &edge in edges {
+            match &mut first[edge as usize] {
+                first @ &mut u32::MAX => *first = face,
+                &mut first => pairs.push([first, face]),
+            }
+        }
+    }
+    pairs
 }
 
 #[cfg(test)]
@@ -169,13 +195,17 @@ mod tests {
             *total = by(vertex.x);
             *vertex += Vector3::new(0.0, 0.0, *total);
         }
-        let n_faces = coarse.mesh.faces.len();
-        let labels: Vec<u8> = (0..n_faces).map(|face| (face % 2) as u8).collect();
+        // Halves of two materials.
+        let labels_of = |mesh: &TriMesh| -> Vec<u8> {
+            let places = mesh.vertices.iter();
+            places.map(|p| u8::from(p.y > 0.0)).collect()
+        };
+        let labels = labels_of(&coarse.mesh);
         let state = State {
             surface,
             views: Vec::new(),
             albedo: Albedo {
-                by_face: labels.iter().map(|&label| f64::from(label)).collect(),
+                by_site: labels.iter().map(|&label| f64::from(label)).collect(),
                 tints: vec![1.0; labels.len()],
                 labels,
                 groups: vec![0.0, 1.0],
@@ -184,7 +214,7 @@ mod tests {
         };
         let State {
             surface, albedo, ..
-        } = fine.prolonged(coarse, &state);
+        } = fine.prolonged(coarse, SiteKind::Vertex, &state);
         // Relaxed vertices lie up to half an edge from where they began.
         let tolerance_m = by(0.5 * coarse.edge_length_m);
         let pairs = fine.mesh.vertices.iter().zip(&surface.mesh.vertices);
@@ -192,14 +222,37 @@ mod tests {
             assert!((to.z - from.z - by(from.x)).abs() < tolerance_m);
             assert!((to.z - from.z - total).abs() < 1e-12);
         }
-        assert_eq!(albedo.labels.len(), fine.mesh.faces.len());
-        assert!((0..albedo.labels.len()).all(|face| albedo.labels[face] == (face / 4 % 2) as u8));
-        assert!(
-            albedo
-                .by_face
-                .iter()
-                .zip(&albedo.labels)
-                .all(|(&a, &l)| a == f64::from(l))
-        );
+        let expected = labels_of(&fine.mesh);
+        let places = fine.mesh.vertices.iter().zip(&albedo.labels);
+        for ((place, &label), expected) in places.zip(expected) {
+            // Between the two and beside them either will do.
+            assert!(label == expected || place.y.abs() < coarse.edge_length_m);
+        }
+        assert_eq!(albedo.labels.len(), fine.mesh.vertices.len());
+        assert_eq!(albedo.tints.len(), fine.mesh.vertices.len());
+        let mut pairs = albedo.by_site.iter().zip(&albedo.labels);
+        assert!(pairs.all(|(&albedo, &label)| albedo == f64::from(label)));
+    }
+
+    #[test]
+    fn sides_part_neighbouring_sites_of_either_kind() {
+        let object = RippledPlane { amplitude_m: 0.0 }.mesh(0.004);
+        let of_kind = |sites| {
+            let params = RefineParams {
+                sites,
+                ..of_edge(0.004, 1)
+            };
+            levels(&object, &params).expect("a surface").remove(0)
+        };
+        let level = of_kind(SiteKind::Face);
+        let inner = level.edges.n_faces.iter().filter(|&&n| n == 2).count();
+        assert_eq!(level.neighbours.len(), inner);
+        for &pair in &level.neighbours {
+            let [face, other] = pair.map(|face| level.mesh.faces[face as usize]);
+            let shared = face.iter().filter(|vertex| other.contains(vertex)).count();
+            assert_eq!(shared, 2);
+        }
+        let level = of_kind(SiteKind::Vertex);
+        assert_eq!(level.neighbours, level.edges.edges);
     }
 }

@@ -1,17 +1,17 @@
-//! What albedo a facet has by itself, whatever group it is in: the median of the views that see it, and how much that says.
+//! What albedo a site has by itself, whatever group it is in: the median of the views that see it, and how much that says.
 
 use super::MAX_VIEWS;
 use super::observations::Observations;
 use super::sites::Sites;
 use rayon::prelude::*;
 
-/// A facet that many views see tells twice what one does that so many see, and one that `FULLY_TOLD` see counts as one: facets of
+/// A site that many views see tells twice what one does that so many see, and one that `FULLY_TOLD` see counts as one: those of
 /// `pot-k1` are seen by four as a rule, those of a Kinect II's scan by ten or more.
 const HALF_TOLD: f64 = 6.0;
 const FULLY_TOLD: f64 = 14.0;
 
-/// A facet's own albedo by the views that see it, of which less than half may err: a leaf's shade or a rim that the base surface has
-/// elsewhere is not in all of them. Unlike the robust ratio it does not depend on the group that the facet is in.
+/// A site's own albedo by the views that see it, of which less than half may err: a leaf's shade or a rim that the base surface has
+/// elsewhere is not in all of them. Unlike the robust ratio it does not depend on the group that the site is in.
 #[derive(Clone, Copy, Debug)]
 pub struct Median {
     /// Its logarithm; NaN where no view tells.
@@ -45,24 +45,24 @@ impl Median {
         }
     }
 
-    /// How much it counts in the choice of a group: what a view gets wrong does not go down with the facets that it shows.
+    /// How much it counts in the choice of a group: what a view gets wrong does not go down with the sites that it shows.
     pub fn weight(&self) -> f64 {
         (1.0 + HALF_TOLD / FULLY_TOLD) * self.n_views / (self.n_views + HALF_TOLD)
     }
 }
 
-/// The median of each facet.
+/// The median of each site.
 pub fn medians(sites: &Sites, observations: &Observations) -> Vec<Median> {
-    let faces = (0..sites.points.len()).into_par_iter();
-    let pairs = |face: usize| {
-        let normal = &sites.normals[face];
-        let all = observations.of(face).iter();
+    let indices = (0..sites.points.len()).into_par_iter();
+    let pairs = |site: usize| {
+        let normal = &sites.normals[site];
+        let all = observations.of(site).iter();
         all.filter_map(move |seen| {
             let s = seen.unit_prediction(normal)?;
             Some((f64::from(seen.observed), s))
         })
     };
-    faces.map(|face| Median::of(pairs(face))).collect()
+    indices.map(|site| Median::of(pairs(site))).collect()
 }
 
 #[cfg(test)]
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shade_in_two_views_of_five_does_not_make_a_facet_darker() {
+    fn shade_in_two_views_of_five_does_not_make_a_site_darker() {
         let lit = |s: f64| (0.4 * s, s);
         let shaded = |s: f64| (0.1 * s, s);
         let views = [lit(0.8), shaded(0.9), lit(1.0), lit(0.7), shaded(0.6)];

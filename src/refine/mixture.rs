@@ -21,8 +21,6 @@ const N_SEEDS: usize = 12;
 /// Steps of expectation and maximisation at most, and the step of the means at which they end.
 const MAX_ITERATIONS: usize = 100;
 const SETTLED: f64 = 1e-4;
-/// Neighbouring facets err together over about this many; what they tell must not be taken for independent.
-pub const CORRELATED: f64 = 50.0;
 /// Components nearer than this many sigmas are one material.
 const MIN_SEPARATION: f64 = 2.0;
 /// A material's values spread no wider than this, times the smallest deviation; what does is outliers.
@@ -33,14 +31,19 @@ const OUTLIER_SHARE: f64 = 0.1;
 const MIN_SHARE: f64 = 0.03;
 
 impl Mixture {
-    /// Fits 1 to `max_components` components of a standard deviation of at least `min_sigma` and keeps the best count; NaN are
-    /// left out. `None` without any value.
+    /// Fits 1 to `max_components` components of a standard deviation of at least `min_sigma` and keeps the best count; so many
+    /// values as are correlated tell what one does, and NaN are left out. `None` without any value.
     ///
     /// Each count begins with what the one before found and one component more, which is tried at places all over the values: a
     /// material of a tenth of the surface lies beside the quantiles that any one start would have.
-    pub fn fit(values: &[f64], max_components: usize, min_sigma: f64) -> Option<Mixture> {
+    pub fn fit(
+        values: &[f64],
+        n_correlated: f64,
+        max_components: usize,
+        min_sigma: f64,
+    ) -> Option<Mixture> {
         let histogram = Histogram::new(values)?;
-        let n = histogram.total() / CORRELATED;
+        let n = histogram.total() / n_correlated;
         let informed = |components| {
             let mixture = histogram.maximised(components, min_sigma);
             (mixture.information(&histogram, n), mixture)
@@ -226,13 +229,13 @@ mod tests {
 
     #[test]
     fn one_material_is_one_component() {
-        let mixture = Mixture::fit(&around(&[-1.8], 40_000), 4, 0.06).expect("values");
+        let mixture = Mixture::fit(&around(&[-1.8], 40_000), 50.0, 4, 0.06).expect("values");
         assert_eq!(mixture.len(), 1);
     }
 
     #[test]
     fn two_materials_are_found_with_their_albedos() {
-        let mixture = Mixture::fit(&around(&[-1.8, -1.0], 40_000), 4, 0.06).expect("values");
+        let mixture = Mixture::fit(&around(&[-1.8, -1.0], 40_000), 50.0, 4, 0.06).expect("values");
         assert_eq!(mixture.len(), 2);
         assert!((mixture.components[0].mean + 1.8).abs() < 0.02);
         assert!((mixture.components[1].mean + 1.0).abs() < 0.02);
@@ -242,13 +245,13 @@ mod tests {
     fn a_painted_band_of_a_tenth_of_the_surface_is_a_material() {
         let bright = around(&[-1.0], 90_000);
         let dark = around(&[-1.8], 10_000);
-        let mixture = Mixture::fit(&[bright, dark].concat(), 6, 0.06).expect("values");
+        let mixture = Mixture::fit(&[bright, dark].concat(), 50.0, 6, 0.06).expect("values");
         assert_eq!(mixture.len(), 2);
         assert!((mixture.components[0].mean + 1.8).abs() < 0.02);
     }
 
     #[test]
     fn nothing_seen_is_no_mixture() {
-        assert!(Mixture::fit(&[f64::NAN; 3], 4, 0.06).is_none());
+        assert!(Mixture::fit(&[f64::NAN; 3], 50.0, 4, 0.06).is_none());
     }
 }

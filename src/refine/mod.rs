@@ -83,7 +83,7 @@ use nalgebra::Point3;
 use preparation::{Preparation, first_views};
 use rounds::State;
 use serde::Serialize;
-use sites::{Sites, ViewError};
+use sites::ViewError;
 use view::View;
 
 /// Most views that one refinement takes.
@@ -112,9 +112,9 @@ pub struct Refinement {
     pub mesh: TriMesh,
     /// Albedo of each vertex, times the light's strength, m².
     pub albedo: Vec<f64>,
-    /// Albedo of each group of facets and the share of the facets in it, in the order of the labels.
+    /// Albedo of each group and the share of the sites in it, in the order of the labels.
     pub albedo_groups: Vec<(f64, f64)>,
-    /// Group of each vertex: that of most facets round it.
+    /// Group of each vertex.
     pub labels: Vec<u8>,
     /// What the images say of each vertex.
     pub evidence: Evidence,
@@ -124,7 +124,7 @@ pub struct Refinement {
     pub status: RefineStatus,
     /// Every accepted step.
     pub iterations: Vec<Iteration>,
-    /// Spread of the facets' own albedos about those of their groups, robust standard deviation of the logarithm.
+    /// Spread of the sites' own albedos about those of their groups, robust standard deviation of the logarithm.
     pub albedo_spread: f64,
     /// Image error over the sites of all views, before and after: see [`ViewFit`].
     pub rmse_before: f64,
@@ -180,21 +180,22 @@ pub fn refine(
         let last = params.n_rounds..params.n_rounds + 1;
         status = prepared.run(last, all, &mut state, &mut accepted);
     }
-    let sites = Sites::new(&state.surface.mesh, &state.views, all);
-    let errors = sites.view_errors(&state.views, &state.albedo.by_face);
+    let finest = prepared.finest();
+    let sites = finest.sites(&state.surface.mesh, &state.views, all);
+    let errors = sites.view_errors(&state.views, &state.albedo.by_site);
     let views = view_fits(&state.views, prepared.centre(), &errors_before, &errors);
     let rmse = over_all(&views, |view| view.rmse_after);
     if rmse > MAX_BELIEVABLE_RMSE {
         return Err(RefineError::Contradicted { rmse });
     }
-    let evidence = prepared.finest().evidence(&state, &sites);
+    let evidence = finest.evidence(&state, &sites);
     let State {
         surface, albedo, ..
     } = &state;
     Ok(Refinement {
         evidence: evidence.ok_or(RefineError::OutOfMemory)?,
-        labels: albedo.labels_by_vertex(&surface.mesh),
-        albedo: albedo.by_vertex(&surface.mesh),
+        labels: albedo.labels_by_vertex(params.sites, &surface.mesh),
+        albedo: albedo.by_vertex(params.sites, &surface.mesh),
         albedo_groups: albedo.groups.iter().copied().zip(albedo.shares()).collect(),
         albedo_spread: albedo.spread,
         edge_length_m: prepared.edge_length_m(),

@@ -1,11 +1,11 @@
 //! What every view shows at every site: all of the residual of Eq. (6) but the normals.
 //!
 //! Each image is sampled once a round. Within a solve pixel, distance and light are held (Sec. 4.3), or change in proportion to
-//! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way. How much of a pixel a facet covers is held.
+//! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way. How much of a pixel a site covers is held.
 
 use super::energy::Surface;
 use super::gaze::{AsItIs, Gaze, Lanes3, Weighed, set_lane};
-use super::rendering::RenderedAt;
+use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
 use super::view::View;
@@ -23,7 +23,7 @@ pub struct Observation {
     /// Light that arrives, towards the light, in the same unit: its product with the unit normal is the prediction for unit
     /// albedo. World frame.
     light: [f32; 3],
-    /// How much the facet counts: the pixels that it covers, at most one.
+    /// How much the site counts: the pixels that it covers, at most one.
     pub covered: f32,
     /// By how much `observed` changes as the site moves, per metre; 0 where pixels are held.
     image_slope: f32,
@@ -116,7 +116,7 @@ impl Moved<'_> {
 
 /// The observations of all sites.
 pub struct Observations {
-    /// Of [`TILE`] faces each.
+    /// Of [`TILE`] sites each.
     tiles: Vec<Tile>,
     /// What the observations change with beside the normals.
     motion: Option<SiteMotion>,
@@ -124,7 +124,7 @@ pub struct Observations {
 
 /// Sites looked at for the scale of the residuals: every so many.
 const SCALE_STRIDE: usize = 5;
-/// Faces that are sampled together.
+/// Sites that are sampled together.
 const TILE: usize = 2048;
 
 impl Observations {
@@ -133,7 +133,7 @@ impl Observations {
         sites: &Sites,
         views: &[View],
         motion: Option<SiteMotion>,
-        rendered: Option<RenderedAt>,
+        rendered: Option<&Rendered>,
     ) -> Observations {
         Self::every(1, sites, views, motion, rendered)
     }
@@ -148,18 +148,18 @@ impl Observations {
         sites: &Sites,
         views: &[View],
         motion: Option<SiteMotion>,
-        rendered: Option<RenderedAt>,
+        rendered: Option<&Rendered>,
     ) -> Observations {
-        let n_faces = sites.points.len();
+        let n_sites = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
-        let tiles = (0..n_faces.div_ceil(TILE)).into_par_iter().map(|tile| {
-            let faces = tile * TILE..((tile + 1) * TILE).min(n_faces);
+        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter().map(|tile| {
+            let range = tile * TILE..((tile + 1) * TILE).min(n_sites);
             let looked_at = LookedAt {
                 sites,
                 motion: motion.as_ref(),
                 rendered,
             };
-            Tile::new(faces, stride, looked_at, &gazes)
+            Tile::new(range, stride, looked_at, &gazes)
         });
         Observations {
             tiles: tiles.collect(),
@@ -167,19 +167,19 @@ impl Observations {
         }
     }
 
-    /// How far the site of a face has moved since it was looked at, metres; 0 where sites are held.
+    /// How far a site has moved since it was looked at, metres; 0 where sites are held.
     #[inline]
-    pub fn moved_m(&self, surface: &Surface, face: usize) -> f64 {
+    pub fn moved_m(&self, surface: &Surface, site: usize) -> f64 {
         let motion = self.motion.as_ref();
-        motion.map_or(0.0, |motion| motion.moved_m(surface, face))
+        motion.map_or(0.0, |motion| motion.moved_m(surface, site))
     }
 
-    /// The observations of a face, in the order of the views.
+    /// The observations of a site, in the order of the views.
     #[inline]
-    pub fn of(&self, face: usize) -> &[Observation] {
-        let Tile { starts, entries } = &self.tiles[face / TILE];
-        let face = face % TILE;
-        &entries[starts[face] as usize..starts[face + 1] as usize]
+    pub fn of(&self, site: usize) -> &[Observation] {
+        let Tile { starts, entries } = &self.tiles[site / TILE];
+        let site = site % TILE;
+        &entries[starts[site] as usize..starts[site + 1] as usize]
     }
 
     /// Robust standard deviation of all residuals, in sigmas, at least 1: [`median_absolute_deviation`].
@@ -187,9 +187,9 @@ impl Observations {
         let mut magnitudes: Vec<f64> = (0..sites.points.len())
             .into_par_iter()
             .step_by(SCALE_STRIDE)
-            .flat_map_iter(|face| {
-                let seen = self.of(face).iter();
-                seen.filter_map(move |seen| seen.residual(&sites.normals[face], albedo[face]))
+            .flat_map_iter(|site| {
+                let seen = self.of(site).iter();
+                seen.filter_map(move |seen| seen.residual(&sites.normals[site], albedo[site]))
             })
             .collect();
         median_absolute_deviation(&mut magnitudes).max(1.0)
@@ -201,54 +201,54 @@ impl Observations {
 struct LookedAt<'a> {
     sites: &'a Sites,
     motion: Option<&'a SiteMotion>,
-    rendered: Option<RenderedAt<'a>>,
+    rendered: Option<&'a Rendered<'a>>,
 }
 
-/// What the views show of some faces.
+/// What the views show of some sites.
 struct Tile {
-    /// Where the observations of each face begin; one more than faces.
+    /// Where the observations of each site begin; one more than sites.
     starts: Vec<u32>,
-    /// Face by face and in the order of the views.
+    /// Site by site and in the order of the views.
     entries: Vec<Observation>,
 }
 
 impl Tile {
-    fn new(faces: Range<usize>, stride: usize, looked_at: LookedAt, gazes: &[Gaze]) -> Tile {
-        let set_of = |face: usize| match face % stride {
-            0 => looked_at.sites.visible[face],
+    fn new(range: Range<usize>, stride: usize, looked_at: LookedAt, gazes: &[Gaze]) -> Tile {
+        let set_of = |site: usize| match site % stride {
+            0 => looked_at.sites.visible[site],
             _ => 0,
         };
-        let mut starts = vec![0; faces.len() + 1];
+        let mut starts = vec![0; range.len() + 1];
         let mut end = 0;
-        for face in faces.clone() {
-            starts[face - faces.start] = end;
-            end += set_of(face).count_ones();
+        for site in range.clone() {
+            starts[site - range.start] = end;
+            end += set_of(site).count_ones();
         }
-        starts[faces.len()] = end;
+        starts[range.len()] = end;
         let mut entries = vec![Observation::NONE; end as usize];
         // One view after the other, so that its image stays at hand.
         for (k, gaze) in gazes.iter().enumerate() {
-            let seen = faces.clone().filter(|&face| set_of(face) >> k & 1 == 1);
-            let slots = seen.map(|face| {
-                let before = (set_of(face) & ((1 << k) - 1)).count_ones();
-                (face, (starts[face - faces.start] + before) as usize)
+            let seen = range.clone().filter(|&site| set_of(site) >> k & 1 == 1);
+            let slots = seen.map(|site| {
+                let before = (set_of(site) & ((1 << k) - 1)).count_ones();
+                (site, (starts[site - range.start] + before) as usize)
             });
             observe((k, gaze), slots, looked_at, &mut entries);
         }
         let mut there = 0;
-        for start in 0..faces.len() {
-            let range = starts[start] as usize..starts[start + 1] as usize;
-            starts[start] = there;
-            let seen = entries[range].iter().filter(|entry| entry.is_there());
+        for site in 0..range.len() {
+            let slots = starts[site] as usize..starts[site + 1] as usize;
+            starts[site] = there;
+            let seen = entries[slots].iter().filter(|entry| entry.is_there());
             there += seen.count() as u32;
         }
-        starts[faces.len()] = there;
+        starts[range.len()] = there;
         entries.retain(Observation::is_there);
         Tile { starts, entries }
     }
 }
 
-/// Fills in what a view shows of faces, given with the places of their observations.
+/// Fills in what a view shows of sites, given with the places of their observations.
 fn observe(
     (view, gaze): (usize, &Gaze),
     mut slots: impl Iterator<Item = (usize, usize)>,
@@ -266,16 +266,16 @@ fn observe(
     let mut albedo = [0.0; LANES];
     loop {
         let (mut to, mut n) = ([(0, 0.0); LANES], 0);
-        for (face, slot) in slots.by_ref().take(LANES) {
-            set_lane(&mut points, n, &sites.points[face].coords);
-            set_lane(&mut normals, n, &sites.normals[face]);
+        for (site, slot) in slots.by_ref().take(LANES) {
+            set_lane(&mut points, n, &sites.points[site].coords);
+            set_lane(&mut normals, n, &sites.normals[site]);
             if let (Some(along), Some(motion)) = (&mut along, motion) {
-                set_lane(along, n, motion.along(face));
+                set_lane(along, n, motion.along(site));
             }
             if let Some(rendered) = rendered {
-                albedo[n] = rendered.albedo[face] as f32;
+                albedo[n] = rendered.albedo[site] as f32;
             }
-            to[n] = (slot, sites.areas_m2[face]);
+            to[n] = (slot, sites.areas_m2[site]);
             n += 1;
         }
         if n == 0 {

@@ -29,7 +29,7 @@ pub struct RefineParams {
     pub patch_sigma_m: f64,
     /// Standard deviation of the slope of the displacement, radians: Eq. (7). 0.15 and 0.3 give the same surface.
     pub slope_sigma_rad: f64,
-    /// Where the data term has its residuals while displacements are solved for; albedo, poses and gains are found at the facets.
+    /// Where the surface is compared with the images: for displacements, albedo, poses and gains.
     pub sites: SiteKind,
     /// What of the data term follows the displacements within a round.
     pub linearisation: Linearisation,

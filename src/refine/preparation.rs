@@ -9,7 +9,7 @@ use super::optics::Optics;
 use super::params::RefineParams;
 use super::rounds::{Rounds, State, centre_of, radius_about};
 use super::self_calibration::{Contradiction, Told, Tolerance, told_by_images};
-use super::sites::{Sites, ViewError, ViewSet};
+use super::sites::{SiteKind, Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
 use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
@@ -90,7 +90,7 @@ impl Preparation {
             };
             views = views_of(&relit, &params);
         }
-        let base_sites = Sites::new(mesh, &views, first_views(views.len()));
+        let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()));
         views.iter_mut().for_each(|view| view.gloss = told.gloss);
         Ok(Preparation {
             params,
@@ -124,7 +124,7 @@ impl Preparation {
     /// Takes a state from one level to a finer one.
     fn prolong(&self, state: &mut State, from: usize, to: usize) {
         for pair in self.levels[from..=to].windows(2) {
-            *state = pair[1].prolonged(&pair[0], state);
+            *state = pair[1].prolonged(&pair[0], self.params.sites, state);
         }
     }
 
@@ -142,7 +142,7 @@ impl Preparation {
         let learnt = sites.only(learning);
         let albedo = self.rounds(0).first_albedo(&learnt, views);
         let albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
-        let errors = sites.view_errors(views, &albedo.by_face);
+        let errors = sites.view_errors(views, &albedo.by_site);
         let surface = Surface {
             directions: mesh.vertex_normals(),
             total_m: vec![0.0; mesh.vertices.len()],
@@ -191,13 +191,12 @@ impl Preparation {
         for round in rounds {
             self.prolong(state, level, self.level_of(round));
             level = self.level_of(round);
+            let rounds = self.rounds(level);
             let sites = match round {
                 0 => self.base_sites.only(learning),
-                _ => Sites::new(&state.surface.mesh, &state.views, learning),
+                _ => rounds.sites(&state.surface.mesh, &state.views, learning),
             };
-            status = self
-                .rounds(level)
-                .round(round, learning, &sites, state, accepted);
+            status = rounds.round(round, learning, &sites, state, accepted);
             if status.is_final() {
                 break;
             }
@@ -296,7 +295,7 @@ fn ask(
     if !params.enabled {
         return Told::default();
     }
-    let sites = Sites::new(mesh, views, first_views(views.len()));
+    let sites = Sites::new(SiteKind::Face, mesh, views, first_views(views.len()));
     told_by_images(&sites, views, optics, params, tolerance)
 }
 

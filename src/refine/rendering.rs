@@ -17,22 +17,16 @@ use rayon::prelude::*;
 ///
 /// Where it differs from the prediction at a site, taking off the blur has missed something: relief narrower than a few pixels, and
 /// borders between albedos.
-pub struct Rendered {
+pub struct Rendered<'a> {
     /// One a view, if it sees anything.
     images: Vec<Option<Image<f32>>>,
-}
-
-/// The same with the albedo of the sites where it is compared.
-#[derive(Clone, Copy)]
-pub struct RenderedAt<'a> {
-    rendered: &'a Rendered,
-    /// Albedo of each site.
+    /// Albedo of each site, which was rendered.
     pub albedo: &'a [f64],
 }
 
-impl Rendered {
+impl<'a> Rendered<'a> {
     /// Renders a mesh as the views that see its sites would show it.
-    pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View], albedo: &[f64]) -> Self {
+    pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View], albedo: &'a [f64]) -> Self {
         let seeing = sites.visible.iter().fold(0, |all, visible| all | visible);
         let views = views.par_iter().enumerate();
         let image = |(index, view): (usize, &View)| {
@@ -41,22 +35,13 @@ impl Rendered {
         };
         Rendered {
             images: views.map(image).collect(),
-        }
-    }
-
-    /// To compare it at sites of this albedo.
-    pub fn at<'a>(&'a self, albedo: &'a [f64]) -> RenderedAt<'a> {
-        RenderedAt {
-            rendered: self,
             albedo,
         }
     }
-}
 
-impl<'a> RenderedAt<'a> {
     /// What a view shows, by its number.
-    pub fn image(&self, index: usize) -> Option<&'a Image<f32>> {
-        self.rendered.images[index].as_ref()
+    pub fn image(&self, index: usize) -> Option<&Image<f32>> {
+        self.images[index].as_ref()
     }
 }
 
@@ -67,8 +52,9 @@ const MAX_CUTS: f32 = 16.0;
 /// Share of a pixel's area that facets have to cover.
 const COVERED: f32 = 0.75;
 
-/// Linear intensity that a view would show, NaN where a pixel is not covered by facets that it sees. `sites` are the mesh's and
-/// `index` is the view's number in them.
+/// Linear intensity that a view would show, NaN where a pixel is not covered by facets that it sees. `sites` are the mesh's, with
+/// an albedo each, and `index` is the view's number in them. A facet is as bright as it is predicted, or as its corners are in the
+/// mean.
 pub fn render(
     view: &View,
     mesh: &TriMesh,
@@ -79,16 +65,23 @@ pub fn render(
     let corners = gaze.pixels_of(&mesh.vertices);
     let (width, height) = (view.linear().value.width(), view.linear().value.height());
     let mut sums = Image::filled(width, height, Sum::default());
-    for faces in sites.faces_of(index).chunks(LANES) {
+    let mut intensities = vec![f64::NAN; sites.points.len()];
+    for seen in sites.of_view(index).chunks(LANES) {
         let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-        for (lane, &face) in faces.iter().enumerate() {
-            set_lane(&mut points, lane, &sites.points[face as usize].coords);
-            set_lane(&mut normals, lane, &sites.normals[face as usize]);
+        for (lane, &site) in seen.iter().enumerate() {
+            set_lane(&mut points, lane, &sites.points[site as usize].coords);
+            set_lane(&mut normals, lane, &sites.normals[site as usize]);
         }
         let unit = gaze.predictions(&points, &normals);
-        for (&face, unit) in faces.iter().zip(unit).filter(|(_, unit)| !unit.is_nan()) {
-            let corners = mesh.faces[face as usize].map(|vertex| corners[vertex as usize]);
-            spread(&mut sums, corners, albedo[face as usize] as f32 * unit);
+        for (&site, unit) in seen.iter().zip(unit) {
+            intensities[site as usize] = albedo[site as usize] * f64::from(unit);
+        }
+    }
+    for (face, vertices) in mesh.faces.iter().enumerate() {
+        let intensity = sites.at_face(mesh, &intensities, face);
+        if !intensity.is_nan() {
+            let corners = vertices.map(|vertex| corners[vertex as usize]);
+            spread(&mut sums, corners, intensity as f32);
         }
     }
     sums.map(|sum| match sum.area_px2 >= COVERED {
@@ -141,6 +134,7 @@ fn spread(sums: &mut Image<Sum>, [a, b, c]: [[f32; 2]; 3], intensity: f32) {
 mod tests {
     use super::super::observations::Observations;
     use super::super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, views_of};
+    use super::super::sites::SiteKind;
     use super::*;
     use crate::snapshot::ShadingSnapshot;
 
@@ -165,7 +159,7 @@ mod tests {
         for edge_m in [0.0006, 0.0013, 0.003] {
             let mesh = rippled.mesh(edge_m);
             let view = view_of(snapshot(&rippled), &mesh);
-            let sites = Sites::new(&mesh, &view, 1);
+            let sites = Sites::new(SiteKind::Face, &mesh, &view, 1);
             let albedo = vec![ALBEDO; mesh.faces.len()];
             let shown = render(&view[0], &mesh, (&sites, 0), &albedo);
             let seen = &view[0].linear().integrated;
@@ -202,14 +196,14 @@ mod tests {
             *counts = (f64::from(*counts) * mean.powf(gamma)) as f32;
         }
         let view = view_of(snapshot, &mesh);
-        let sites = Sites::new(&mesh, &view, 1);
+        let sites = Sites::new(SiteKind::Face, &mesh, &view, 1);
         let albedo: Vec<f64> = (0..mesh.faces.len())
             .map(|face| match sites.points[face].x < 0.0 {
                 true => DARKER * ALBEDO,
                 false => ALBEDO,
             })
             .collect();
-        let rms = |rendered: Option<RenderedAt>| {
+        let rms = |rendered: Option<&Rendered>| {
             let observations = Observations::new(&sites, &view, None, rendered);
             let beside = (0..mesh.faces.len()).filter(|&face| sites.points[face].x.abs() < 0.002);
             let mut squares = Vec::new();
@@ -223,9 +217,7 @@ mod tests {
             (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
         };
         let mixed = rms(None);
-        let taken_off = rms(Some(
-            Rendered::new(&mesh, &sites, &view, &albedo).at(&albedo),
-        ));
+        let taken_off = rms(Some(&Rendered::new(&mesh, &sites, &view, &albedo)));
         assert!(
             mixed > 0.5 && taken_off < 0.5 * mixed,
             "{mixed} {taken_off}"

@@ -7,9 +7,9 @@ use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
 use super::priors::PriorWeights;
-use super::rendering::{Rendered, RenderedAt};
+use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
-use super::sites::{SiteKind, Sites, ViewSet};
+use super::sites::{Sites, ViewSet};
 use super::solver::{Iteration, RefineStatus, SolverParams, minimise};
 use super::view::View;
 use crate::geometry::TriMesh;
@@ -36,40 +36,6 @@ pub struct State {
     pub albedo: Albedo,
 }
 
-/// What the views show at the vertices of a surface.
-struct AtVertices {
-    observations: Observations,
-    /// Group of albedo of each vertex.
-    labels: Vec<u8>,
-    /// By which factor its albedo, the mean of the facets' round it, differs from the group's.
-    tints: Vec<f64>,
-    loss: Tukey,
-}
-
-impl AtVertices {
-    /// With the albedo of the facets round them; `cutoff` is the loss's.
-    fn new(
-        sites: &Sites,
-        mesh: &TriMesh,
-        observations: Observations,
-        albedo: &Albedo,
-        cutoff: f64,
-    ) -> Self {
-        let labels = albedo.labels_by_vertex(mesh);
-        // What is between two groups has some of either.
-        let own = albedo.by_vertex(mesh);
-        let of_group = |&label: &u8| albedo.groups[label as usize];
-        let tints = own.iter().zip(labels.iter().map(of_group));
-        let scale = observations.residual_scale(sites, &own);
-        AtVertices {
-            tints: tints.map(|(own, of_group)| own / of_group).collect(),
-            observations,
-            labels,
-            loss: Tukey { scale, cutoff },
-        }
-    }
-}
-
 /// Tukey cut-offs of the first round, those after it, and the last: true relief is a large residual at first, and what a finer mesh
 /// tells of it is again.
 const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
@@ -86,7 +52,7 @@ impl Rounds<'_> {
         let observations = Observations::new(sites, views, None, None);
         let mut albedo = self.estimate_albedo(sites, &observations, None)?;
         for _ in 0..3 {
-            let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
+            let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
             let current = Some((&albedo, loss));
             albedo = self.estimate_albedo(sites, &observations, current)?;
         }
@@ -94,7 +60,7 @@ impl Rounds<'_> {
         if tints && mode == AlbedoMode::Mixture {
             // What is stained is an outlier at first.
             for _ in 0..3 {
-                let loss = final_loss(observations.residual_scale(sites, &albedo.by_face));
+                let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
                 albedo = albedo.with_tints(sites, &observations, loss);
             }
         }
@@ -140,7 +106,7 @@ impl Rounds<'_> {
         };
         let mesh = &surface.mesh;
         let loss_of = |observations: &Observations, albedo: &Albedo| Tukey {
-            scale: observations.residual_scale(sites, &albedo.by_face),
+            scale: observations.residual_scale(sites, &albedo.by_site),
             cutoff,
         };
         let loss = loss_of(&Observations::for_scale(sites, views), albedo);
@@ -148,34 +114,14 @@ impl Rounds<'_> {
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
         let rendered = (is_last && self.params.integrate_pixels)
-            .then(|| Rendered::new(&surface.mesh, sites, views, &albedo.by_face));
-        let at_faces = rendered
-            .as_ref()
-            .map(|rendered| rendered.at(&albedo.by_face));
-        let observations = self.observe(sites, surface, views, at_faces);
+            .then(|| Rendered::new(mesh, sites, views, &albedo.by_site));
+        let observations = self.observe(sites, surface, views, rendered.as_ref());
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
-        let next = self.estimate_albedo(sites, &observations, current);
-        let next = next.unwrap_or_else(|| albedo.clone());
-        let rendered_by = std::mem::replace(albedo, next);
-        let at_vertices;
-        let problem = match self.params.sites {
-            SiteKind::Face => self.problem(&observations, albedo, loss),
-            kind @ SiteKind::Vertex => {
-                drop(observations);
-                let sites = Sites::of_kind(kind, &surface.mesh, views, learning);
-                let rendered = rendered.map(|of| (of, rendered_by.by_vertex(&surface.mesh)));
-                let rendered = rendered.as_ref().map(|(of, shown)| of.at(shown));
-                let observations = self.observe(&sites, surface, views, rendered);
-                at_vertices = AtVertices::new(&sites, &surface.mesh, observations, albedo, cutoff);
-                Problem {
-                    sites: kind,
-                    labels: &at_vertices.labels,
-                    tints: &at_vertices.tints,
-                    ..self.problem(&at_vertices.observations, albedo, at_vertices.loss)
-                }
-            }
-        };
+        if let Some(next) = self.estimate_albedo(sites, &observations, current) {
+            *albedo = next;
+        }
+        let problem = self.problem(&observations, albedo, loss);
         let solver = SolverParams {
             max_steps: self.params.max_steps,
             min_decrease: 1e-4,
@@ -203,8 +149,8 @@ impl Rounds<'_> {
     /// surface's sites with those that the view alone sees.
     pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &[f64]) -> Sites {
         let alone = std::slice::from_ref(view);
-        let sites = Sites::new(mesh, alone, 1);
-        let (faces, stands_for) = sites_to_align_by(sites.faces_of(0));
+        let sites = self.sites(mesh, alone, 1);
+        let (chosen, stands_for) = sites_to_align_by(sites.of_view(0));
         let centre = centre_of(mesh);
         for cutoff in CUTOFFS {
             let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
@@ -212,7 +158,7 @@ impl Rounds<'_> {
             let loss = Tukey { scale, cutoff };
             let target = AlignmentTarget {
                 sites: &sites,
-                faces: &faces,
+                chosen: &chosen,
                 stands_for,
                 albedo,
                 centre,
@@ -235,12 +181,12 @@ impl Rounds<'_> {
     ) {
         let centre = centre_of(mesh);
         views.par_iter_mut().enumerate().for_each(|(k, view)| {
-            let (faces, stands_for) = sites_to_align_by(sites.faces_of(k));
+            let (chosen, stands_for) = sites_to_align_by(sites.of_view(k));
             let target = AlignmentTarget {
                 sites,
-                faces: &faces,
+                chosen: &chosen,
                 stands_for,
-                albedo: &albedo.by_face,
+                albedo: &albedo.by_site,
                 centre,
                 loss,
             };
@@ -251,19 +197,24 @@ impl Rounds<'_> {
 }
 
 impl<'a> Rounds<'a> {
+    /// The sites of a mesh that a set of views sees.
+    pub fn sites(&self, mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
+        Sites::new(self.params.sites, mesh, views, set)
+    }
+
     /// What views show at a surface's sites, and how that changes with its displacements.
     pub fn observe(
         &self,
         sites: &Sites,
         surface: &Surface,
         views: &[View],
-        rendered: Option<RenderedAt>,
+        rendered: Option<&Rendered>,
     ) -> Observations {
         let motion = SiteMotion::of(surface, sites.kind, self.params.linearisation);
         Observations::new(sites, views, motion, rendered)
     }
 
-    /// What is solved for displacements, by what views show at the facets.
+    /// What is solved for displacements, by what views show at the sites.
     pub fn problem<'p>(
         &self,
         observations: &'p Observations,
@@ -274,7 +225,7 @@ impl<'a> Rounds<'a> {
         'a: 'p,
     {
         Problem {
-            sites: SiteKind::Face,
+            sites: self.params.sites,
             observations,
             labels: &albedo.labels,
             tints: &albedo.tints,
@@ -290,11 +241,11 @@ impl<'a> Rounds<'a> {
 /// Sites enough for the seven numbers of a view and its slow gains.
 const ALIGNMENT_SITES: usize = 4000;
 
-/// About that many of the faces that a view sees, spread evenly over the list, and how many each stands for.
-fn sites_to_align_by(faces: Vec<u32>) -> (Vec<u32>, f64) {
-    let n_seen = faces.len();
+/// About that many of those that a view sees, spread evenly over the list, and how many each stands for.
+fn sites_to_align_by(seen: Vec<u32>) -> (Vec<u32>, f64) {
+    let n_seen = seen.len();
     let stride = (n_seen / ALIGNMENT_SITES).max(1);
-    let chosen: Vec<u32> = faces.into_iter().step_by(stride).collect();
+    let chosen: Vec<u32> = seen.into_iter().step_by(stride).collect();
     let stands_for = n_seen as f64 / chosen.len().max(1) as f64;
     (chosen, stands_for)
 }
@@ -317,9 +268,9 @@ const GAIN_FIELD_PRIOR: f64 = 8000.0;
 /// Re-estimates the slow gain over a view's image from the sites that it sees.
 fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
     let mut sums = view.gain_field.sums();
-    target.each_sample(view, |face, area, sample| {
+    target.each_sample(view, |site, area, sample| {
         let look = &sample.look;
-        let predicted = target.albedo[face] * sample.unit_prediction;
+        let predicted = target.albedo[site] * sample.unit_prediction;
         let without_field = predicted * view.gain / look.gain;
         let robust = target.loss.weight((look.observed - predicted) / look.sigma);
         sums.add(

@@ -257,7 +257,7 @@ pub fn solved(
     let optics = optics(&rays, &calibration);
     let views = views(hidden, &mesh, &optics, &poses(0.5));
     let mut surface = surface_of(mesh);
-    let sites = Sites::of_kind(params.sites, &surface.mesh, &views, ViewSet::MAX);
+    let sites = Sites::new(params.sites, &surface.mesh, &views, ViewSet::MAX);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, params.patch_m);
     let couplings = Couplings::new(&surface.mesh, &edges, &patches);

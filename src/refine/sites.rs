@@ -49,13 +49,8 @@ const MIN_FLATNESS: f64 = 0.4;
 pub type ViewSet = u128;
 
 impl Sites {
-    /// Finds the sites of a mesh at its facets and who of a set of views sees them.
-    pub fn new(mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
-        Sites::of_kind(SiteKind::Face, mesh, views, set)
-    }
-
-    /// The same for sites of either kind.
-    pub fn of_kind(kind: SiteKind, mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
+    /// Finds the sites of a mesh and who of a set of views sees them.
+    pub fn new(kind: SiteKind, mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
         let sites = match kind {
             SiteKind::Face => Sites::of_faces(mesh),
             SiteKind::Vertex => Sites::of_vertices(mesh),
@@ -140,11 +135,22 @@ impl Sites {
         }
     }
 
-    /// The faces that a view sees.
-    pub fn faces_of(&self, view: usize) -> Vec<u32> {
+    /// The sites that a view sees.
+    pub fn of_view(&self, view: usize) -> Vec<u32> {
         (0..self.visible.len() as u32)
-            .filter(|&face| self.visible[face as usize] >> view & 1 == 1)
+            .filter(|&site| self.visible[site as usize] >> view & 1 == 1)
             .collect()
+    }
+
+    /// What a value of the sites is at a face: its own, or the mean of its corners'.
+    pub fn at_face(&self, mesh: &TriMesh, values: &[f64], face: usize) -> f64 {
+        match self.kind {
+            SiteKind::Face => values[face],
+            SiteKind::Vertex => {
+                let [a, b, c] = mesh.faces[face].map(|vertex| values[vertex as usize]);
+                (a + b + c) / 3.0
+            }
+        }
     }
 
     /// Rendered against observed linear intensity, by view.
@@ -154,12 +160,12 @@ impl Sites {
             .enumerate()
             .map(|(k, view)| {
                 let (mut square, mut sum, mut n_sites) = (0.0, 0.0, 0usize);
-                let faces = self.faces_of(k);
-                let points = faces.iter().map(|&face| &self.points[face as usize]);
+                let seen = self.of_view(k);
+                let points = seen.iter().map(|&site| &self.points[site as usize]);
                 Gaze::new(view).each(points, |index, look| {
-                    let face = faces[index] as usize;
-                    if let Some(sample) = view.sample(look, &self.normals[face]) {
-                        let error = look.observed - albedo[face] * sample.unit_prediction;
+                    let site = seen[index] as usize;
+                    if let Some(sample) = view.sample(look, &self.normals[site]) {
+                        let error = look.observed - albedo[site] * sample.unit_prediction;
                         square += error * error;
                         sum += look.observed;
                         n_sites += 1;

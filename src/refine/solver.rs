@@ -86,7 +86,7 @@ impl Pattern {
 
     /// As [`Self::solve`] where the matrix has an upper bound of the data term of sites at vertices in its place: by conjugate
     /// gradients in the bound's metric (Hestenes and Stiefel 1952).
-    fn solve_problem(
+    pub fn solve_problem(
         &self,
         problem: &Problem,
         matrix: &NormalMatrix,

@@ -1,7 +1,6 @@
 //! The steps of an outer round one at a time: what benches time, and the linear problem that other solvers are given.
 //!
-//! [`refine`](super::refine) goes through the same functions by itself. Residuals are at the facets here, which couples by edges alone
-//! and is what other solvers can be given.
+//! [`refine`](super::refine) goes through the same functions by itself.
 
 use super::RefineError;
 use super::albedo::Albedo;
@@ -11,7 +10,7 @@ use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
 use super::priors::PriorWeights;
 use super::rounds::{State, final_loss};
-use super::sites::{Sites, ViewSet};
+use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::Step;
 use super::view::View;
 use crate::geometry::{Pose, TriMesh};
@@ -45,10 +44,10 @@ impl Stages {
         let (mut state, _) = prepared.base(subject, learning)?;
         prepared.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();
-        let sites = Sites::new(&state.surface.mesh, &state.views, learning);
         let rounds = prepared.finest();
+        let sites = rounds.sites(&state.surface.mesh, &state.views, learning);
         let observations = rounds.observe(&sites, &state.surface, &state.views, None);
-        let scale = observations.residual_scale(&sites, &state.albedo.by_face);
+        let scale = observations.residual_scale(&sites, &state.albedo.by_site);
         Ok(Stages {
             prepared,
             state,
@@ -64,9 +63,11 @@ impl Stages {
         self.state.surface.mesh.vertices.len()
     }
 
-    /// Finds out which view sees which facet; returns the number of such pairs.
+    /// Finds out which view sees which site; returns the number of such pairs.
     pub fn hide(&self) -> usize {
-        let sites = Sites::new(&self.state.surface.mesh, &self.state.views, self.learning);
+        let State { surface, views, .. } = &self.state;
+        let rounds = self.prepared.finest();
+        let sites = rounds.sites(&surface.mesh, views, self.learning);
         let pairs = sites
             .visible
             .iter()
@@ -74,14 +75,14 @@ impl Stages {
         pairs.sum()
     }
 
-    /// Samples every image at every facet that it sees; returns the robust scale of the residuals, in sigmas.
+    /// Samples every image at every site that it sees; returns the robust scale of the residuals, in sigmas.
     pub fn observe(&self) -> f64 {
         let State { surface, views, .. } = &self.state;
         let observations = self
             .prepared
             .finest()
             .observe(&self.sites, surface, views, None);
-        observations.residual_scale(&self.sites, &self.state.albedo.by_face)
+        observations.residual_scale(&self.sites, &self.state.albedo.by_site)
     }
 
     /// Estimates groups and albedos anew; returns the groups' albedos.
@@ -111,12 +112,16 @@ impl Stages {
 
     /// One step, the factorisation among it; `None` where the matrix is not positive definite.
     pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
-        self.prepared.finest().level.pattern.solve(matrix, damping)
+        let pattern = &self.prepared.finest().level.pattern;
+        pattern.solve_problem(&self.problem(), matrix, damping)
     }
 
-    /// The step's problem as sums of squares.
-    pub fn least_squares(&self) -> LeastSquares {
+    /// The step's problem as sums of squares; `None` where sites are at vertices, which couple more than a facet's corners.
+    pub fn least_squares(&self) -> Option<LeastSquares> {
         let problem = self.problem();
+        if problem.sites != SiteKind::Face {
+            return None;
+        }
         let State {
             surface, albedo, ..
         } = &self.state;
@@ -133,7 +138,7 @@ impl Stages {
             rest,
             smoothness,
         } = problem.priors;
-        LeastSquares {
+        Some(LeastSquares {
             n_vertices,
             n_groups: albedo.groups.len(),
             faces: terms.collect(),
@@ -143,7 +148,7 @@ impl Stages {
             smoothness,
             anchor,
             rest,
-        }
+        })
     }
 
     /// The views as they were aligned.
@@ -159,7 +164,10 @@ impl Stages {
 
     /// Albedo of each vertex, times the light's strength, m².
     pub fn albedo_by_vertex(&self) -> Vec<f64> {
-        self.state.albedo.by_vertex(&self.state.surface.mesh)
+        let State {
+            surface, albedo, ..
+        } = &self.state;
+        albedo.by_vertex(self.sites.kind, &surface.mesh)
     }
 
     fn problem(&self) -> Problem<'_> {
@@ -279,10 +287,11 @@ mod tests {
         };
         let params = RefineParams {
             edge_length_m: 0.008,
+            sites: SiteKind::Face,
             ..RefineParams::default()
         };
         let stages = Stages::after_rounds(&subject, &params, 1).unwrap();
-        let problem = stages.least_squares();
+        let problem = stages.least_squares().expect("sites are at facets");
         let n = problem.n_vertices + problem.n_groups;
         let mut hessian = DMatrix::<f64>::zeros(n, n);
         let mut gradient = DVector::<f64>::zeros(n);

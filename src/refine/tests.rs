@@ -60,7 +60,7 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
     let mesh = FLAT.mesh(0.004);
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
     let looked_at = shaken(&surface_of(mesh), 1e-4);
-    let sites = Sites::of_kind(kind, &looked_at.mesh, &views, ViewSet::MAX);
+    let sites = Sites::new(kind, &looked_at.mesh, &views, ViewSet::MAX);
     let motion = SiteMotion::of(&looked_at, kind, linearisation);
     let surface = shaken(&looked_at, 5e-5);
     let edges = EdgeAdjacency::new(&surface.mesh);
@@ -149,7 +149,7 @@ fn the_true_surface_has_almost_no_residual() {
     let optics = optics(&rays, &calibration);
     let mesh = RIPPLED.mesh(0.0012);
     let views = views(&RIPPLED, &mesh, &optics, &poses(0.5));
-    let sites = Sites::new(&mesh, &views, ViewSet::MAX);
+    let sites = Sites::new(SiteKind::Face, &mesh, &views, ViewSet::MAX);
     let albedo = vec![ALBEDO; mesh.faces.len()];
     for error in sites.view_errors(&views, &albedo) {
         assert!(error.n_sites > 3000);
@@ -168,10 +168,10 @@ fn alignment_brings_a_moved_view_back() {
     let moved = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0012, -0.0009, 0.0));
     views[0].camera_from_world = moved * truth;
     views[0].gain = 1.03;
-    let sites = Sites::new(&mesh, &views, ViewSet::MAX);
+    let sites = Sites::new(SiteKind::Face, &mesh, &views, ViewSet::MAX);
     let target = AlignmentTarget {
         sites: &sites,
-        faces: &sites.faces_of(0),
+        chosen: &sites.of_view(0),
         stands_for: 1.0,
         albedo: &vec![ALBEDO; mesh.faces.len()],
         centre: Point3::new(0.0, 0.0, 0.6),
@@ -296,7 +296,7 @@ fn dark_spots_are_no_other_material() {
     let snapshots: Vec<_> = poses(0.4)
         .iter()
         .map(|pose| {
-            let mut snapshot = FLAT.snapshot(&optics, pose);
+            let mut snapshot = RIPPLED.snapshot(&optics, pose);
             let pixels = snapshot.ir_counts.data_mut().iter_mut();
             let seen = rays.rays().data().iter().zip(snapshot.depth_m.data());
             for (counts, ([x, y], depth)) in pixels.zip(seen) {

@@ -18,8 +18,8 @@ use std::collections::BTreeMap;
 const PATCH_M: f64 = 0.015;
 /// Distance over which tints go over into one another, metres.
 const REACH_M: f64 = 0.025;
-/// Patches of fewer facets tell nothing, nor do facets that fewer views see: one view cannot tell albedo from shape.
-const MIN_FACETS: usize = 8;
+/// Patches of fewer sites tell nothing, nor do sites that fewer views see: one view cannot tell albedo from shape.
+const MIN_SITES: usize = 8;
 const MIN_VIEWS: u32 = 4;
 /// Standard deviation of the logarithm of a patch's brightness that has other causes: tilts of the fused surface, light over other
 /// surfaces. Patches of one albedo differ by 0.006 to 0.023 on fused surfaces.
@@ -35,7 +35,7 @@ struct Patch {
     log: f64,
 }
 
-/// By which factor the albedo of each facet differs from its group's; `ratios` are the facets' own albedos. All are 1 where patches
+/// By which factor the albedo of each site differs from its group's; `ratios` are the sites' own albedos. All are 1 where patches
 /// differ by no more than shape explains.
 pub fn tints(sites: &Sites, labels: &[u8], groups: &[f64], ratios: &[Ratio]) -> Vec<f64> {
     let patches = patches(sites, labels, groups, ratios);
@@ -67,20 +67,20 @@ pub fn tints(sites: &Sites, labels: &[u8], groups: &[f64], ratios: &[Ratio]) -> 
 
 fn patches(sites: &Sites, labels: &[u8], groups: &[f64], ratios: &[Ratio]) -> Vec<Patch> {
     let mut cells: BTreeMap<(u8, [i32; 3]), Vec<usize>> = BTreeMap::new();
-    for (face, point) in sites.points.iter().enumerate() {
-        if ratios[face].1 > 0.0 && sites.visible[face].count_ones() >= MIN_VIEWS {
+    for (site, point) in sites.points.iter().enumerate() {
+        if ratios[site].1 > 0.0 && sites.visible[site].count_ones() >= MIN_VIEWS {
             let cell = [point.x, point.y, point.z].map(|x| (x / PATCH_M).floor() as i32);
-            cells.entry((labels[face], cell)).or_default().push(face);
+            cells.entry((labels[site], cell)).or_default().push(site);
         }
     }
-    let patch = |((label, _), faces): ((u8, _), Vec<usize>)| {
-        let places = faces.iter().map(|&face| sites.points[face].coords);
-        let place = places.sum::<Vector3<f64>>() / faces.len() as f64;
-        let (n, d) = faces.iter().fold((0.0, 0.0), |(n, d), &face| {
-            (n + ratios[face].0, d + ratios[face].1)
+    let patch = |((label, _), of_patch): ((u8, _), Vec<usize>)| {
+        let places = of_patch.iter().map(|&site| sites.points[site].coords);
+        let place = places.sum::<Vector3<f64>>() / of_patch.len() as f64;
+        let (n, d) = of_patch.iter().fold((0.0, 0.0), |(n, d), &site| {
+            (n + ratios[site].0, d + ratios[site].1)
         });
         let log = (n / (d * groups[label as usize])).ln();
-        (faces.len() >= MIN_FACETS && log.abs() < MAX_LOG_TINT).then(|| Patch {
+        (of_patch.len() >= MIN_SITES && log.abs() < MAX_LOG_TINT).then(|| Patch {
             label,
             place: Point3::from(place),
             log,
@@ -94,7 +94,7 @@ mod tests {
     use super::super::sites::SiteKind;
     use super::*;
 
-    /// A plane of 0.2 m, seen by so many views, of two groups of facets beside one another.
+    /// A plane of 0.2 m, seen by so many views, of two groups of sites beside one another.
     fn plane(n_views: u32) -> (Sites, Vec<u8>) {
         let points: Vec<Point3<f64>> = (0..200)
             .flat_map(|i| (0..200).map(move |j| Point3::new(1e-3 * i as f64, 1e-3 * j as f64, 0.5)))

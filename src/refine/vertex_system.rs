@@ -271,7 +271,7 @@ mod tests {
         let optics = optics(&rays, &calibration);
         let views = views(&HIDDEN, &mesh, &optics, &poses(0.5));
         let surface = surface_of(mesh);
-        let sites = Sites::of_kind(SiteKind::Vertex, &surface.mesh, &views, ViewSet::MAX);
+        let sites = Sites::new(SiteKind::Vertex, &surface.mesh, &views, ViewSet::MAX);
         let motion = SiteMotion::of(&surface, SiteKind::Vertex, Linearisation::Full);
         let edges = EdgeAdjacency::new(&surface.mesh);
         let couplings = Couplings::new(&surface.mesh, &edges, &[]);

@@ -23,7 +23,7 @@ use relief::{
     geometry::{CameraModel, coarsened, rasterise},
     pipeline::{OutputFolder, Pipeline, PipelineParams, WhenFull},
     refine::{
-        JacobianMode, RefineParams, Subject,
+        JacobianMode, RefineParams, SiteKind, Subject,
         remesh::{RemeshParams, remesh},
         stages::Stages,
     },
@@ -119,11 +119,16 @@ fn steps(
 ) -> anyhow::Result<()> {
     let params = RefineParams::default();
     let stages = Stages::after_rounds(subject, &params, 1)?;
-    let numeric = RefineParams {
-        jacobian: JacobianMode::Numeric,
-        ..params.clone()
+    let at_facets = |jacobian| {
+        let params = RefineParams {
+            sites: SiteKind::Face,
+            jacobian,
+            ..params.clone()
+        };
+        Stages::after_rounds(subject, &params, 1)
     };
-    let numeric = Stages::after_rounds(subject, &numeric, 1)?;
+    let analytic = at_facets(JacobianMode::Analytic)?;
+    let numeric = at_facets(JacobianMode::Numeric)?;
     let matrix = stages.linearise();
     let (n_vertices, n_views) = (stages.n_vertices(), subject.snapshots.len());
     let mut group = criterion.benchmark_group(format!("refine/{n_vertices}/{n_views}"));
@@ -145,7 +150,10 @@ fn steps(
     group.bench_function("albedo", |b| b.iter(|| stages.estimate_albedo()));
     group.bench_function("residuals", |b| b.iter(|| stages.energy()));
     group.bench_function("residuals and Jacobian", |b| b.iter(|| stages.linearise()));
-    group.bench_function("residuals and numeric Jacobian", |b| {
+    group.bench_function("residuals and Jacobian at facets", |b| {
+        b.iter(|| analytic.linearise());
+    });
+    group.bench_function("residuals and numeric Jacobian at facets", |b| {
         b.iter(|| numeric.linearise());
     });
     group.bench_function("solve", |b| b.iter(|| stages.solve(&matrix, 1e-4)));

@@ -1,6 +1,6 @@
 use super::*;
 use crate::refine::scenes::{RippledPlane, calibration, optics, poses_all_round, rays, views_of};
-use crate::refine::sites::ViewSet;
+use crate::refine::sites::{SiteKind, ViewSet};
 use crate::snapshot::ShadingSnapshot;
 
 const RIPPLED: RippledPlane = RippledPlane {
@@ -36,7 +36,7 @@ fn told_by(
     let base = FLAT.mesh(0.0015);
     let views = views_of(&rendered.collect::<Vec<_>>(), &base, &believed_optics);
     told_by_images(
-        &Sites::new(&base, &views, ViewSet::MAX),
+        &Sites::new(SiteKind::Face, &base, &views, ViewSet::MAX),
         &views,
         &believed_optics,
         params,

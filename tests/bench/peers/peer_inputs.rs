@@ -25,7 +25,7 @@ use processor_time::process_cpu_secs;
 use relief::{
     export::write_ply,
     refine::{
-        RefineParams, Step, Subject,
+        RefineParams, SiteKind, Step, Subject,
         remesh::{RemeshParams, remesh},
         stages::{LeastSquares, Stages},
     },
@@ -64,6 +64,8 @@ fn main() -> anyhow::Result<()> {
     let params = RefineParams {
         edge_length_m: edge_length_m.unwrap_or(RefineParams::default().edge_length_m),
         max_vertices: 5_000_000,
+        // What couples by edges alone is what other solvers can be given.
+        sites: SiteKind::Face,
         ..RefineParams::default()
     };
     let (scan, out) = (Scan::read(Path::new(&args[0]))?, Path::new(&args[1]));
@@ -96,7 +98,7 @@ fn write_step(stages: &Stages, path: &Path) -> anyhow::Result<()> {
         step,
         linearise_cpu_secs: linearised_secs - start_secs,
         solve_cpu_secs: process_cpu_secs() - linearised_secs,
-        problem: stages.least_squares(),
+        problem: stages.least_squares().context("sites are at vertices")?,
     };
     write_json(path, &solved)
 }
