@@ -1,7 +1,7 @@
 //! Indexed triangle meshes.
 
 use nalgebra::{Point3, Vector3};
-use std::ops::AddAssign;
+use std::ops::{Add, AddAssign, Div};
 
 /// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,8 +30,17 @@ impl TriMesh {
 
     /// Centre of a face.
     pub fn centroid(&self, face: usize) -> Point3<f64> {
-        let [a, b, c] = self.corners(face);
-        Point3::from((a.coords + b.coords + c.coords) / 3.0)
+        Point3::from(self.mean_at_face(face, |vertex| self.vertices[vertex].coords))
+    }
+
+    /// Mean of a value of the vertices over the corners of a face.
+    pub fn mean_at_face<T: Add<Output = T> + Div<f64, Output = T>>(
+        &self,
+        face: usize,
+        of_vertex: impl Fn(usize) -> T,
+    ) -> T {
+        let [a, b, c] = self.faces[face].map(|vertex| of_vertex(vertex as usize));
+        (a + b + c) / 3.0
     }
 
     /// Unit normals at the vertices, weighted by face area; zero where the faces around a vertex cancel or there are none.

@@ -10,12 +10,12 @@ use super::clusters::Clusters;
 use super::expansion::Labelling;
 use super::median_albedo::medians;
 use super::mixture::Mixture;
+use super::neighbourhood::Neighbourhood;
 use super::observations::Observations;
 use super::sites::{SiteKind, Sites};
 use super::tint::tints;
 use crate::geometry::TriMesh;
 use crate::shading::{Tukey, median_absolute_deviation};
-use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -72,34 +72,6 @@ const MIN_LOG_SIGMA: f64 = 0.06;
 /// Groups whose logarithms of albedo differ by less are one: what changes slowly by less is told as tints. A site keeps its tint
 /// while that of its group changes by less.
 const SAME_GROUP: f64 = 0.1;
-/// What of Eq. (4) depends on where sites are.
-struct Neighbourhood {
-    /// Cost of each neighbour in another group, in units of an independent negative log likelihood: V.
-    potts: f64,
-    /// So many neighbours err together; what they tell must not be taken for independent.
-    n_correlated: f64,
-    /// Parts of an object meet where neighbours are folded towards one another by more.
-    max_fold_cosine: f64,
-}
-
-impl Neighbourhood {
-    fn of(kind: SiteKind) -> Self {
-        match kind {
-            // 45°.
-            SiteKind::Face => Neighbourhood {
-                potts: 1.5,
-                n_correlated: 50.0,
-                max_fold_cosine: 0.7,
-            },
-            // Half as many on the same surface, of which a border parts twice as many pairs; the normal of one in a fold is half turned.
-            SiteKind::Vertex => Neighbourhood {
-                potts: 0.75,
-                n_correlated: 25.0,
-                max_fold_cosine: 0.92,
-            },
-        }
-    }
-}
 
 /// Which groups are looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,11 +93,12 @@ impl Albedo {
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
         let ratios = ratios(sites, observations, current);
+        let neighbourhood = Neighbourhood::of(sites.kind);
         let Neighbourhood {
             potts,
             n_correlated,
-            max_fold_cosine,
-        } = Neighbourhood::of(sites.kind);
+            ..
+        } = neighbourhood;
         let (n_groups, costs, neighbours, pair_cost) = match groups.mode {
             AlbedoMode::Mixture => {
                 let own = medians(sites, observations);
@@ -138,7 +111,7 @@ impl Albedo {
                     _ => 0.0,
                 };
                 let costs = costs(own.len(), mixture.len(), cost);
-                let neighbours = within_parts(sites, all_neighbours, max_fold_cosine);
+                let neighbours = neighbourhood.within_parts(sites, all_neighbours);
                 // So many sites in the shade of a leaf tell what one of them does.
                 (mixture.len(), costs, neighbours, potts * n_correlated)
             }
@@ -352,24 +325,6 @@ fn ratios(
         .collect()
 }
 
-/// The pairs of neighbours but for those across a concave fold: there parts meet (Hoffman and Richards 1984), which may well be of
-/// two materials.
-fn within_parts(sites: &Sites, neighbours: &[[u32; 2]], max_fold_cosine: f64) -> Vec<[u32; 2]> {
-    let is_within = |pair: &&[u32; 2]| {
-        let places = pair.map(|site| &sites.points[site as usize]);
-        let normals = pair.map(|site| &sites.normals[site as usize]);
-        !is_fold(places, normals, max_fold_cosine)
-    };
-    neighbours.par_iter().filter(is_within).copied().collect()
-}
-
-/// Whether two sites, given by their places and normals, meet in a concave fold.
-fn is_fold(places: [&Point3<f64>; 2], normals: [&Vector3<f64>; 2], max_fold_cosine: f64) -> bool {
-    let [normal, beyond] = normals;
-    let along = places[1] - places[0];
-    (beyond - normal).dot(&along) < 0.0 && normal.dot(beyond) < max_fold_cosine
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -384,25 +339,6 @@ mod tests {
         assert!(!has_twins([0.15, 0.21]));
         // A group that no site belongs to has the albedo of all.
         assert!(Albedo::of_labels(vec![0, 0], 2, &[(0.3, 2.0); 2]).has_twins());
-    }
-
-    #[test]
-    fn parts_meet_in_concave_folds_and_not_at_convex_edges() {
-        let floor = (Point3::new(-0.01, 0.0, 0.0), Vector3::z());
-        let rising = |slope_deg: f64| {
-            let (sin, cos) = slope_deg.to_radians().sin_cos();
-            let place = Point3::new(0.01 * cos, 0.0, 0.01 * sin);
-            (place, Vector3::new(-sin, 0.0, cos))
-        };
-        let is_fold = |slope_deg: f64| {
-            let wall = rising(slope_deg);
-            let one_way = is_fold([&floor.0, &wall.0], [&floor.1, &wall.1], 0.7);
-            let other_way = is_fold([&wall.0, &floor.0], [&wall.1, &floor.1], 0.7);
-            assert_eq!(one_way, other_way);
-            one_way
-        };
-        assert!(is_fold(90.0) && is_fold(50.0));
-        assert!(!is_fold(30.0) && !is_fold(0.0) && !is_fold(-50.0) && !is_fold(-90.0));
     }
 
     #[test]

@@ -192,7 +192,7 @@ mod tests {
                 .min_by(|&a, &b| costs[a].total_cmp(&costs[b]))
                 .unwrap()
         };
-        // No group holds facets of both materials.
+        // No group holds sites of both materials.
         let mut materials = vec![[0; 2]; clusters.len()];
         for face in (0..albedo.len()).filter(|&face| albedo[face].is_finite()) {
             materials[group_of(face)][usize::from(albedo[face] > 0.2)] += 1;

@@ -324,10 +324,7 @@ impl Surface {
     #[inline]
     pub fn displacement_m(&self, kind: SiteKind, site: usize) -> f64 {
         match kind {
-            SiteKind::Face => {
-                let [a, b, c] = self.mesh.faces[site].map(|vertex| self.total_m[vertex as usize]);
-                (a + b + c) / 3.0
-            }
+            SiteKind::Face => self.mesh.mean_at_face(site, |vertex| self.total_m[vertex]),
             SiteKind::Vertex => self.total_m[site],
         }
     }

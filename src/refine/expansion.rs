@@ -63,8 +63,7 @@ impl Labelling<'_> {
     /// Gives silent sites the label of the nearest others, by steps from neighbour to neighbour.
     fn spread(&self, labels: &mut [u8], mut is_silent: Vec<bool>) {
         let mut beside_silent: Vec<Vec<usize>> = vec![Vec::new(); labels.len()];
-        for pair in self.neighbours {
-            let [p, q] = pair.map(|site| site as usize);
+        for (p, q) in self.pairs() {
             for (site, other) in [(p, q), (q, p)] {
                 if is_silent[other] {
                     beside_silent[site].push(other);

@@ -25,8 +25,8 @@ pub struct Level {
     pub edges: EdgeAdjacency,
     /// Patches that depth holds.
     pub patches: Vec<Patch>,
-    /// Every two neighbouring sites.
-    pub neighbours: Vec<[u32; 2]>,
+    /// Every two neighbouring faces, where sites are at faces.
+    neighbouring_faces: Option<Vec<[u32; 2]>>,
     /// Pattern of the normal matrix.
     pub pattern: Pattern,
     /// As in [`Subdivided`]; empty for the coarsest.
@@ -71,10 +71,8 @@ impl Level {
         let edges = EdgeAdjacency::new(&mesh);
         let patches = patches::cut(&mesh, &mesh.vertex_normals(), params.patch_m);
         let couplings = Couplings::new(&mesh, &edges, &patches);
-        let neighbours = match params.sites {
-            SiteKind::Face => neighbouring_faces(&couplings.of_faces, couplings.pairs.len()),
-            SiteKind::Vertex => edges.edges.clone(),
-        };
+        let neighbouring_faces = (params.sites == SiteKind::Face)
+            .then(|| neighbouring_faces(&couplings.of_faces, couplings.pairs.len()));
         let pattern = Pattern::new(&mesh.vertices, couplings);
         Level {
             pattern,
@@ -82,7 +80,7 @@ impl Level {
             edge_length_m,
             edges,
             patches,
-            neighbours,
+            neighbouring_faces,
             parents,
         }
     }
@@ -92,6 +90,12 @@ impl Level {
         let (sides, n_edges) = (&couplings.of_faces, couplings.pairs.len());
         let Subdivided { mesh, parents } = subdivide(&self.mesh, sides, n_edges, surface);
         Level::new(mesh, 0.5 * self.edge_length_m, parents, params)
+    }
+
+    /// Every two neighbouring sites.
+    pub fn neighbours(&self) -> &[[u32; 2]] {
+        let of_faces = self.neighbouring_faces.as_deref();
+        of_faces.unwrap_or(&self.edges.edges)
     }
 
     /// What a state of the next coarser level, with sites of a kind, is on this one.
@@ -246,13 +250,13 @@ mod tests {
         };
         let level = of_kind(SiteKind::Face);
         let inner = level.edges.n_faces.iter().filter(|&&n| n == 2).count();
-        assert_eq!(level.neighbours.len(), inner);
-        for &pair in &level.neighbours {
+        assert_eq!(level.neighbours().len(), inner);
+        for &pair in level.neighbours() {
             let [face, other] = pair.map(|face| level.mesh.faces[face as usize]);
             let shared = face.iter().filter(|vertex| other.contains(vertex)).count();
             assert_eq!(shared, 2);
         }
         let level = of_kind(SiteKind::Vertex);
-        assert_eq!(level.neighbours, level.edges.edges);
+        assert_eq!(level.neighbours(), level.edges.edges);
     }
 }

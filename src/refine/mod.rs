@@ -30,6 +30,7 @@ mod level;
 mod max_flow;
 mod median_albedo;
 mod mixture;
+mod neighbourhood;
 mod numeric;
 mod object;
 mod observations;
@@ -83,11 +84,11 @@ use nalgebra::Point3;
 use preparation::{Preparation, first_views};
 use rounds::State;
 use serde::Serialize;
-use sites::ViewError;
+use sites::{ViewError, ViewSet};
 use view::View;
 
 /// Most views that one refinement takes.
-pub const MAX_VIEWS: usize = 128;
+pub const MAX_VIEWS: usize = ViewSet::BITS as usize;
 
 /// What a view ended as.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

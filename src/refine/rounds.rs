@@ -78,7 +78,13 @@ impl Rounds<'_> {
             mode: self.params.albedo.mode,
             at_most: self.params.max_albedos,
         };
-        Albedo::estimate(sites, &self.level.neighbours, observations, groups, current)
+        Albedo::estimate(
+            sites,
+            self.level.neighbours(),
+            observations,
+            groups,
+            current,
+        )
     }
 
     /// Runs a round with a set of views, on its surface's sites that they see; the others are left as they are. `accepted` is told of

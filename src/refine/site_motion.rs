@@ -37,8 +37,8 @@ impl SiteMotion {
         linearisation: Linearisation,
     ) -> Option<SiteMotion> {
         let along_face = |face: usize| {
-            let [a, b, c] = surface.mesh.faces[face].map(|v| surface.directions[v as usize]);
-            (a + b + c) / 3.0
+            let direction = |vertex: usize| surface.directions[vertex];
+            surface.mesh.mean_at_face(face, direction)
         };
         (linearisation == Linearisation::Full).then(|| {
             let along: Vec<Vector3<f64>> = match kind {

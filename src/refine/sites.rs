@@ -146,10 +146,7 @@ impl Sites {
     pub fn at_face(&self, mesh: &TriMesh, values: &[f64], face: usize) -> f64 {
         match self.kind {
             SiteKind::Face => values[face],
-            SiteKind::Vertex => {
-                let [a, b, c] = mesh.faces[face].map(|vertex| values[vertex as usize]);
-                (a + b + c) / 3.0
-            }
+            SiteKind::Vertex => mesh.mean_at_face(face, |vertex| values[vertex]),
         }
     }
 

@@ -79,23 +79,14 @@ impl Pattern {
 
     /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
     /// taken out by their Schur complement. `None` where H is not positive definite.
-    pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
-        let (_, step) = Bordered::new(&self.analysis, matrix, damping)?;
-        step.is_finite().then_some(step)
-    }
-
-    /// As [`Self::solve`] where the matrix has an upper bound of the data term of sites at vertices in its place: by conjugate
-    /// gradients in the bound's metric (Hestenes and Stiefel 1952).
-    pub fn solve_problem(
-        &self,
-        problem: &Problem,
-        matrix: &NormalMatrix,
-        damping: f64,
-    ) -> Option<Step> {
-        let Some(system) = &matrix.at_vertices else {
-            return self.solve(matrix, damping);
-        };
+    ///
+    /// Where the matrix has an upper bound of the data term of sites at vertices in its place, by conjugate gradients in the
+    /// bound's metric (Hestenes and Stiefel 1952).
+    pub fn solve(&self, problem: &Problem, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
         let (bound, first) = Bordered::new(&self.analysis, matrix, damping)?;
+        let Some(system) = &matrix.at_vertices else {
+            return first.is_finite().then_some(first);
+        };
         let times = |x: &Step| {
             let mut product = problem.prior_times(&x.displacement);
             system.add_times(&x.displacement, &mut product);
@@ -291,7 +282,7 @@ pub fn minimise(
     for _ in 0..params.max_steps {
         let matrix = problem.linearise(surface, albedos, &pattern.couplings);
         let (next, next_albedos, next_energy, max_step_m) = loop {
-            let Some(step) = pattern.solve_problem(problem, &matrix, damping) else {
+            let Some(step) = pattern.solve(problem, &matrix, damping) else {
                 return RefineStatus::Singular;
             };
             let Step {

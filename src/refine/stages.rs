@@ -113,7 +113,7 @@ impl Stages {
     /// One step, the factorisation among it; `None` where the matrix is not positive definite.
     pub fn solve(&self, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
         let pattern = &self.prepared.finest().level.pattern;
-        pattern.solve_problem(&self.problem(), matrix, damping)
+        pattern.solve(&self.problem(), matrix, damping)
     }
 
     /// The step's problem as sums of squares; `None` where sites are at vertices, which couple more than a facet's corners.

@@ -144,8 +144,8 @@ impl Sample {
 
     /// How much a site of this area counts: the pixels that it covers, at most one.
     pub fn covered(&self, view: &View, area_m2: f64) -> f64 {
-        let per_m2 = view.pixels_per_m2(&self.look.point_camera);
-        (area_m2 * per_m2.dot(&self.normal_camera)).clamp(0.0, 1.0)
+        let z = self.look.point_camera.z;
+        (self.foreshortened_m2(area_m2) * view.pixels_per_sr() / (z * z)).min(1.0)
     }
 }
 
@@ -294,14 +294,6 @@ impl View {
     /// How far Eq. (1) is believed.
     pub fn trust(&self) -> &ImageTrust {
         &self.trust
-    }
-
-    /// Pixels that a square metre of surface covers at a point, as a vector whose product with the unit normal (camera frame)
-    /// foreshortens it; negative seen from behind.
-    fn pixels_per_m2(&self, point_camera: &Point3<f64>) -> Vector3<f64> {
-        let distance = point_camera.coords.norm();
-        let z = point_camera.z;
-        point_camera.coords * (-self.pixels_per_sr() / (distance * z * z))
     }
 
     /// Pixels that a square metre covers one metre before the camera and facing it.
