@@ -1,7 +1,7 @@
 //! Whether an aligned frame is believed. When in doubt it is not.
 
 use super::noise::DepthNoise;
-use super::pyramid::{FramePyramid, N_REDUCED};
+use super::pyramid::FramePyramid;
 use super::{Fit, FusionParams, LossReason};
 use crate::geometry::Motion;
 
@@ -12,7 +12,7 @@ pub(super) fn judge_fit(
     noise: &DepthNoise,
     params: &FusionParams,
 ) -> Result<(), LossReason> {
-    let sigma_m = noise.sigma_m(median_depth(frame)) as f64;
+    let sigma_m = noise.sigma_m(frame.median_depth_m()) as f64;
     if fit.inlier_share < params.min_inlier_share {
         Err(LossReason::FewInliers {
             inlier_share: fit.inlier_share,
@@ -39,7 +39,7 @@ pub(super) fn fitness(
     noise: &DepthNoise,
     params: &FusionParams,
 ) -> f64 {
-    let sigma_m = noise.sigma_m(median_depth(frame)) as f64;
+    let sigma_m = noise.sigma_m(frame.median_depth_m()) as f64;
     // 0 at the gate, 1 halfway from there to what is perfect.
     let margin = |value: f64, gate: f64, perfect: f64| 2.0 * (value - gate) / (perfect - gate);
     [
@@ -74,15 +74,4 @@ pub(super) fn judge_motion(
     } else {
         Ok(())
     }
-}
-
-/// Median depth of the coarsest level, metres.
-fn median_depth(frame: &FramePyramid) -> f32 {
-    let coarsest = &frame.reduced[N_REDUCED - 1].depth;
-    let mut depths: Vec<f32> = coarsest.iter().copied().filter(|z| *z > 0.0).collect();
-    if depths.is_empty() {
-        return 1.0;
-    }
-    let middle = depths.len() / 2;
-    *depths.select_nth_unstable_by(middle, f32::total_cmp).1
 }

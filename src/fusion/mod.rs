@@ -65,6 +65,7 @@ mod block_masks;
 mod cube_cases;
 mod each_block;
 mod live_mesh;
+mod locate;
 mod marching_cubes;
 mod surface_patch;
 #[cfg(test)]
@@ -89,17 +90,17 @@ pub use steps::{FusionStep, OnStep};
 pub use surface_patch::{LatticeEdge, SurfacePatch};
 
 use crate::geometry::{CameraModel, Motion, Pose, RayGrid, TriMesh, motion_between};
-use align::align;
 use band::Band;
 use degeneracy::HARDLY_HELD_SHARE;
 use depth_camera::Image;
 use eye::Eye;
 use infrared::Infrared;
 use keyframes::Keyframes;
+use locate::Before;
 use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
 use revisit::Revisits;
-use track::{MAX_PREDICTION_SECS, STEADY_SECS, Track};
+use track::Track;
 use turns::Turns;
 use volume::TsdfVolume;
 
@@ -113,9 +114,6 @@ const MAX_SETTLING: Motion = Motion {
     rotation_rad: 0.02,
     translation_m: 0.01,
 };
-
-/// After an interruption longer absence does not entitle to a longer jump, seconds.
-const MAX_INTERRUPTED_SECS: f64 = 0.1;
 
 /// The model and the camera's place in it.
 #[derive(Clone)]
@@ -143,8 +141,8 @@ pub struct Fusion {
     n_unpolished: usize,
     /// Whether frames lie where they were given to lie.
     is_given: bool,
-    /// Whether the frame before was not tracked.
-    is_interrupted: bool,
+    /// What became of the frame before.
+    before: Before,
     /// How often blocks of the volume are fused.
     turns: Turns,
 }
@@ -169,7 +167,7 @@ impl Fusion {
             n_relocalised: 0,
             n_unpolished: 0,
             is_given: false,
-            is_interrupted: false,
+            before: Before::Tracked,
             turns: Turns::EVERY_FRAME,
             params,
         }
@@ -295,7 +293,7 @@ impl Fusion {
     pub fn interrupt(&mut self) {
         self.track.stop();
         self.hypothesis = None;
-        self.is_interrupted = true;
+        self.before = Before::Missing;
     }
 
     /// Number of frames in the model.
@@ -324,106 +322,6 @@ impl Fusion {
         marching_cubes::marching_cubes(self.eye.arch, &self.volume, min_weight)
     }
 
-    /// Where the frame in hand was taken, with how well it fits; the first frame is the origin.
-    fn find(
-        &mut self,
-        time_secs: f64,
-        on_step: &mut OnStep,
-    ) -> Result<(Pose, Option<Fit>), LossReason> {
-        let Some(model) = &self.model else {
-            return Ok((Pose::identity(), None));
-        };
-        let found = self
-            .locate(model, &self.track, time_secs, on_step)
-            .or_else(|reason| self.locate_at_rest(model, time_secs).ok_or(reason))
-            .and_then(|found| self.resume(found, time_secs))
-            .or_else(|reason| self.confirm(time_secs).ok_or(reason));
-        found.map(|(pose, fit)| (pose, Some(fit)))
-    }
-
-    /// Aligns the frame in hand from where the camera was last, if it had time to stop or to turn back since.
-    fn locate_at_rest(&self, model: &ModelMap, time_secs: f64) -> Option<(Pose, Fit)> {
-        if self.track.is_at_rest() || !self.is_after_gap(time_secs) {
-            return None;
-        }
-        self.locate(model, &self.track.at_rest(), time_secs, &mut |_| {})
-            .ok()
-    }
-
-    /// Whether frames are missing between the last one and the one in hand, so that the camera may have done anything.
-    fn is_after_gap(&self, time_secs: f64) -> bool {
-        time_secs - self.track.time_secs > STEADY_SECS
-    }
-
-    /// Aligns the frame in hand to the model as seen from the pose of a track, and judges the result.
-    fn locate(
-        &self,
-        model: &ModelMap,
-        track: &Track,
-        time_secs: f64,
-        on_step: &mut OnStep,
-    ) -> Result<(Pose, Fit), LossReason> {
-        let eye = &self.eye;
-        let model = icp::CastModel {
-            map: model,
-            lens: &eye.level(MODEL_LEVEL).lens,
-            world_from_camera: &track.world_from_camera,
-        };
-        let guess = track.predict(time_secs);
-        let infrared = self.infrared.as_ref();
-        let (volume, params) = (&self.volume, &self.params);
-        let (pose, fit) = align(eye, &model, volume, &guess, params, infrared, on_step)
-            .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
-        gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
-        let motion = motion_between(&track.world_from_camera, &pose);
-        let max_secs = match self.is_interrupted {
-            true => MAX_INTERRUPTED_SECS,
-            false => MAX_PREDICTION_SECS,
-        };
-        gates::judge_motion(&motion, time_secs - track.time_secs, max_secs, &self.params)?;
-        Ok((pose, fit))
-    }
-
-    /// After an interruption or a gap the camera may be elsewhere: a pose is then believed as one that was searched for.
-    fn resume(&self, (pose, fit): (Pose, Fit), time_secs: f64) -> Result<(Pose, Fit), LossReason> {
-        if (self.is_interrupted || self.is_after_gap(time_secs))
-            && relocalise::believe(&pose, &fit, &self.eye, &self.volume).is_none()
-        {
-            return Err(LossReason::Elsewhere);
-        }
-        Ok((pose, fit))
-    }
-
-    /// Tracks from the place that the frame before was found at, if there is one.
-    fn confirm(&mut self, time_secs: f64) -> Option<(Pose, Fit)> {
-        let (hypothesis, track) = self.hypothesis.take()?;
-        let found = self
-            .locate(&hypothesis.model, &track, time_secs, &mut |_| {})
-            .ok()?;
-        self.n_relocalised += 1;
-        // The new stretch of path is no motion from where tracking was lost.
-        self.track = track;
-        Some(found)
-    }
-
-    /// Looks for a lost frame in the whole model; tells why it is not fused.
-    fn search(&mut self, time_secs: f64, reason: LossReason) -> LossReason {
-        self.track.stop();
-        self.stretch = self.n_fused;
-        self.is_interrupted = true;
-        let found = self
-            .places
-            .relocalise(&self.eye, &self.volume, &self.params);
-        self.hypothesis = found.map(|hypothesis| {
-            let track = Track::at(hypothesis.world_from_camera, time_secs);
-            (hypothesis, track)
-        });
-        match self.hypothesis {
-            Some(_) => LossReason::Unconfirmed,
-            None => reason,
-        }
-    }
-
     /// Fuses the frame in hand at a pose, and looks at the model from there.
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         let (eye, volume) = (&mut self.eye, &mut self.volume);
@@ -444,7 +342,7 @@ impl Fusion {
     /// Keeps the frame that was just fused for closing loops and for finding back.
     fn remember(&mut self, fit: Option<&Fit>) {
         self.hypothesis = None;
-        self.is_interrupted = false;
+        self.before = Before::Tracked;
         self.places.visit(&self.eye, &self.track);
         self.revisits.visit(&self.track);
         self.keep();

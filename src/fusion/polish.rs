@@ -5,8 +5,8 @@
 //! since each of them is held by its own pose.
 
 use super::{
-    Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome, align,
-    gates, icp,
+    Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome,
+    align::align, gates, icp,
 };
 use crate::geometry::{Motion, Pose, motion_between};
 use depth_camera::Image;

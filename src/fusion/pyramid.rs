@@ -109,6 +109,17 @@ pub struct FramePyramid {
 }
 
 impl FramePyramid {
+    /// Median depth of the coarsest level, metres.
+    pub fn median_depth_m(&self) -> f32 {
+        let coarsest = &self.reduced[N_REDUCED - 1].depth;
+        let mut depths: Vec<f32> = coarsest.iter().copied().filter(|z| *z > 0.0).collect();
+        if depths.is_empty() {
+            return 1.0;
+        }
+        let middle = depths.len() / 2;
+        *depths.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
+
     /// An empty frame of a camera.
     pub fn new(camera: &CameraModel) -> Self {
         let rays = RayPlanes::new(&RayGrid::new(*camera));

@@ -17,7 +17,7 @@ use super::pyramid::{FramePyramid, N_REDUCED};
 use super::raycast::{ModelMap, raycast_anywhere};
 use super::track::Track;
 use super::volume::TsdfVolume;
-use super::{Fit, FusionParams, MODEL_LEVEL, align, gates};
+use super::{Fit, FusionParams, MODEL_LEVEL, align::align, gates};
 use crate::geometry::{Motion, Pose, motion_between};
 use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
@@ -214,7 +214,7 @@ fn lock(
 ) -> Option<(Fit, Hypothesis)> {
     let (pose, fit) = align_closely(near, eye, volume, params)?;
     gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
-    let model = believe(&pose, &fit, eye, volume)?;
+    let Believed { model, .. } = believe(&pose, &fit, eye, volume)?;
     Some((
         fit,
         Hypothesis {
@@ -224,14 +224,25 @@ fn lock(
     ))
 }
 
-/// The model as seen from a pose that does not follow from the one before, if it can be believed.
-pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) -> Option<ModelMap> {
+/// A pose that does not follow from the one before, and is believed.
+pub(super) struct Believed {
+    /// The model as seen from there.
+    pub(super) model: ModelMap,
+    /// Share of the pixels of frame and model that show the same surface.
+    pub(super) agreeing_share: f64,
+}
+
+/// Looks at the model from a pose that does not follow from the one before; `None` if it cannot be believed.
+pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) -> Option<Believed> {
     let model = seen_from(pose, eye, volume, MODEL_LEVEL);
     let shares = compare(eye, &model, pose, volume.voxel_size_m());
     let is_true = fit.inlier_share >= MIN_INLIER_SHARE
         && shares.seen_through <= MAX_SEE_THROUGH_SHARE
         && shares.agreeing >= MIN_AGREEING_SHARE;
-    is_true.then_some(model)
+    is_true.then_some(Believed {
+        model,
+        agreeing_share: shares.agreeing,
+    })
 }
 
 fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {

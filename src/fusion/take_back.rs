@@ -3,6 +3,7 @@
 //! A volume does not remember what each frame brought, so that those which stay are fused anew, from their packed depth and
 //! at the poses at which they were fused. Where memory was short, that is every second or fourth of them.
 
+use super::locate::Before;
 use super::{Fusion, MODEL_LEVEL, loop_closing, pose_correction::PoseCorrection, track::Track};
 use crate::geometry::Pose;
 
@@ -49,7 +50,7 @@ impl Fusion {
         let Some(last) = self.keyframes.frames().last() else {
             self.model = None;
             self.track = Track::at(Pose::identity(), 0.0);
-            self.is_interrupted = false;
+            self.before = Before::Tracked;
             return;
         };
         let (pose, time_secs) = (last.world_from_camera, last.time_secs);

@@ -35,14 +35,9 @@ impl Track {
         self.world_from_camera * increment(&(self.velocity * elapsed))
     }
 
-    /// The same camera, had it stopped when the last frame was taken.
-    pub fn at_rest(&self) -> Self {
-        Track::at(self.world_from_camera, self.time_secs)
-    }
-
-    /// Whether the camera is not known to move.
-    pub fn is_at_rest(&self) -> bool {
-        self.velocity == Vector6::zeros()
+    /// Whether the camera is known to move.
+    pub fn is_moving(&self) -> bool {
+        self.velocity != Vector6::zeros()
     }
 
     /// Forgets how the camera moved.
