@@ -217,13 +217,10 @@ mod tests {
         let height_m = |x: f32, y: f32| {
             let ridge = 0.5 + 0.5 * (24.0 * y.atan2(x)).cos();
             let hump = |angle: f32| {
-                let (x, y) = (x - 0.2 * angle.cos(), y - 0.2 * angle.sin());
-                0.03 * (-(x * x + y * y) / 0.02f32.powi(2)).exp()
+                let (x, y) = (x - 0.3 * angle.cos(), y - 0.3 * angle.sin());
+                0.06 * (-(x * x + y * y) / 0.02f32.powi(2)).exp()
             };
-            let humps: f32 = [0.0, 0.4, 1.0, 1.7, 2.3, 2.6, 3.3, 3.9, 4.7, 5.2, 5.6]
-                .map(hump)
-                .iter()
-                .sum();
+            let humps: f32 = [0.0, 1.0, 2.3, 3.9, 4.7].map(hump).iter().sum();
             0.012 * ridge * (-((x.hypot(y) - 0.12) / 0.04).powi(4)).exp() + humps
         };
         RayGrid::new(camera).rays().map(|&[x, y]| {
