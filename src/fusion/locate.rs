@@ -14,13 +14,13 @@ const MAX_INTERRUPTED_SECS: f64 = 0.1;
 /// After an interruption the camera is looked for so far round what it sees, radians: as far as alignment reaches, which then
 /// reaches twice as far.
 const SWING_RAD: f64 = 0.06;
-
-/// Poses that are not farther apart are the same.
+/// Poses that are not farther apart are the same, and looked at once; arbitrary, within what the next frame makes up for.
 const SAME: Motion = Motion {
     rotation_rad: 0.005,
     translation_m: 0.003,
 };
-/// One pose is better than another if more pixels agree with the model there by this share.
+/// One pose is better than another if more pixels agree with the model there by this share: alignments to the same place differ
+/// by up to about 0.001, and to one beside it by 0.003 and more.
 const CLEARLY: f64 = 0.002;
 
 /// What became of the frame before.
@@ -44,9 +44,8 @@ impl Fusion {
         let Some(model) = &self.model else {
             return Ok((Pose::identity(), None));
         };
-        let is_known_to_move = self.track.is_moving();
         // A single frame, with its holes and its noise, is no model to compare poses on.
-        let found = if is_known_to_move || self.before == Before::Lost || self.n_fused < 2 {
+        let found = if self.track.is_moving() || self.before == Before::Lost || self.n_fused < 2 {
             self.locate_carried_on(model, time_secs, on_step)
                 .and_then(|found| self.resume(found, time_secs))
         } else {
@@ -93,15 +92,12 @@ impl Fusion {
         for swing in swings(f64::from(self.eye.frame.median_depth_m())) {
             let guess = at_rest * swing;
             let other = self.locate(model, &self.track, &guess, time_secs, &mut |_| {});
-            let is_same = |other: &Pose| {
-                let mut poses = found.iter().map(|(pose, _)| pose);
-                poses.any(|pose| motion_between(pose, other).is_within(&SAME))
+            let is_new = |other: &(Pose, Fit)| {
+                let is_same =
+                    |(pose, _): &(Pose, Fit)| motion_between(pose, &other.0).is_within(&SAME);
+                !found.iter().any(is_same)
             };
-            if let Ok(other) = other
-                && !is_same(&other.0)
-            {
-                found.push(other);
-            }
+            found.extend(other.ok().filter(is_new));
         }
         let believed = found.into_iter().filter_map(|(pose, fit)| {
             let seen = relocalise::believe(&pose, &fit, &self.eye, &self.volume)?;

@@ -109,7 +109,7 @@ pub struct FramePyramid {
 }
 
 impl FramePyramid {
-    /// Median depth of the coarsest level, metres.
+    /// Median depth of the coarsest level, metres; 1 if it has none.
     pub fn median_depth_m(&self) -> f32 {
         let coarsest = &self.reduced[N_REDUCED - 1].depth;
         let mut depths: Vec<f32> = coarsest.iter().copied().filter(|z| *z > 0.0).collect();
