@@ -8,6 +8,7 @@
 
 use super::clusters::Clusters;
 use super::expansion::Labelling;
+use super::label_spread::spread;
 use super::median_albedo::medians;
 use super::mixture::Mixture;
 use super::neighbourhood::Neighbourhood;
@@ -132,7 +133,9 @@ impl Albedo {
             neighbours: &neighbours,
             pair_cost,
         };
-        let albedo = Self::of_labels(labelling.solve(), n_groups, &ratios);
+        let mut labels = labelling.solve();
+        spread(&labelling, &mut labels, &sites.points, all_neighbours);
+        let albedo = Self::of_labels(labels, n_groups, &ratios);
         if groups.mode == AlbedoMode::Mixture && albedo.has_twins() {
             let fewer = Groups {
                 at_most: n_groups - 1,

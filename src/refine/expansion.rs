@@ -2,7 +2,6 @@
 //! after another, the best of all labellings in which any number of sites change to it, as a smallest cut.
 
 use super::max_flow::{Edge, FlowNetwork};
-use std::collections::VecDeque;
 
 /// What labels cost: each at each site, and each neighbour with another one.
 pub struct Labelling<'a> {
@@ -23,10 +22,6 @@ const MAX_DIFFERENCE: f64 = 1e6;
 /// Cycles over all labels at most; two or three are the rule.
 const MAX_CYCLES: usize = 5;
 
-fn are_equal(costs: &[f64]) -> bool {
-    costs.windows(2).all(|pair| pair[0] == pair[1])
-}
-
 /// What becomes of a site when a label expands.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Fate {
@@ -42,12 +37,10 @@ impl Labelling<'_> {
     /// Two labels by one cut, which is the least energy of all (Greig, Porteous and Seheult 1989); of more the cheapest of each
     /// site by itself, then expanded until no label lowers the energy.
     ///
-    /// Sites to which all labels cost the same take part in no cut: they take the label of the nearest that do.
+    /// Silent sites take part in no cut, and what they are given here means nothing.
     pub fn solve(&self) -> Vec<u8> {
-        let is_silent: Vec<bool> = self
-            .costs
-            .chunks_exact(self.n_labels.max(1))
-            .map(are_equal)
+        let is_silent: Vec<bool> = (0..self.n_sites())
+            .map(|site| self.is_silent(site))
             .collect();
         let speak = |pair: &&[u32; 2]| pair.iter().all(|&site| !is_silent[site as usize]);
         let neighbours: Vec<[u32; 2]> = self.neighbours.iter().filter(speak).copied().collect();
@@ -55,38 +48,36 @@ impl Labelling<'_> {
             neighbours: &neighbours,
             ..*self
         };
-        let mut labels = among_themselves.cut();
-        self.spread(&mut labels, is_silent);
-        labels
+        among_themselves.cut()
     }
 
-    /// Gives silent sites the label of the nearest others, by steps from neighbour to neighbour.
-    fn spread(&self, labels: &mut [u8], mut is_silent: Vec<bool>) {
-        let mut beside_silent: Vec<Vec<usize>> = vec![Vec::new(); labels.len()];
-        for (p, q) in self.pairs() {
-            for (site, other) in [(p, q), (q, p)] {
-                if is_silent[other] {
-                    beside_silent[site].push(other);
-                }
-            }
-        }
-        let mut queue: VecDeque<usize> =
-            (0..labels.len()).filter(|&site| !is_silent[site]).collect();
-        while let Some(site) = queue.pop_front() {
-            for &other in &beside_silent[site] {
-                if std::mem::take(&mut is_silent[other]) {
-                    labels[other] = labels[site];
-                    queue.push_back(other);
-                }
-            }
-        }
+    /// Whether all labels cost a site the same.
+    pub fn is_silent(&self, site: usize) -> bool {
+        self.costs_of(site)
+            .windows(2)
+            .all(|pair| pair[0] == pair[1])
+    }
+
+    /// By how much a label costs a site less than any other; nothing if it does not.
+    pub fn lead(&self, site: usize, label: u8) -> f64 {
+        let costs = self.costs_of(site).iter().enumerate();
+        let others = costs.filter(|&(other, _)| other != label as usize);
+        let cheapest = others.map(|(_, &cost)| cost).fold(f64::INFINITY, f64::min);
+        (cheapest - self.cost(site, label)).max(0.0)
+    }
+
+    fn n_sites(&self) -> usize {
+        self.costs.len() / self.n_labels.max(1)
+    }
+
+    fn costs_of(&self, site: usize) -> &[f64] {
+        &self.costs[site * self.n_labels..][..self.n_labels]
     }
 
     fn cut(&self) -> Vec<u8> {
-        let n_sites = self.costs.len() / self.n_labels.max(1);
         match self.n_labels {
-            0 | 1 => vec![0; n_sites],
-            2 => self.expanded(&vec![0; n_sites], 1),
+            0 | 1 => vec![0; self.n_sites()],
+            2 => self.expanded(&vec![0; self.n_sites()], 1),
             _ => {
                 let cheapest = |costs: &[f64]| {
                     let cheapest = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b]));
@@ -245,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn sites_that_all_labels_cost_the_same_follow_the_nearest_and_hold_nobody() {
+    fn sites_that_all_labels_cost_the_same_hold_nobody() {
         // Two at the left end prefer the first label, two at the right end the second; nothing is known of those between.
         let neighbours = strip(10);
         let mut costs = vec![0.3; 20];
@@ -258,7 +249,16 @@ mod tests {
             // Were those between joined to both ends, one border would cost more than all that is known.
             pair_cost: 5.0,
         };
-        assert_eq!(labelling.solve(), [0, 0, 0, 0, 0, 1, 1, 1, 1, 1]);
+        let labels = labelling.solve();
+        assert_eq!((&labels[..2], &labels[8..]), (&[0, 0][..], &[1, 1][..]));
+        let is_silent: Vec<bool> = (0..10).map(|site| labelling.is_silent(site)).collect();
+        assert_eq!(
+            is_silent,
+            (0..10)
+                .map(|site| (2..8).contains(&site))
+                .collect::<Vec<_>>()
+        );
+        assert_eq!((labelling.lead(0, 0), labelling.lead(0, 1)), (1.0, 0.0));
     }
 
     #[test]

@@ -26,6 +26,7 @@ mod gaze;
 #[cfg(test)]
 mod guard_tests;
 mod held_out;
+mod label_spread;
 mod level;
 mod max_flow;
 mod median_albedo;
