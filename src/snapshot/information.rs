@@ -176,6 +176,16 @@ pub(super) struct ViewInformation {
     pub(super) target_world: Option<Point3<f64>>,
 }
 
+impl ViewInformation {
+    /// The same view if all that it tells counted by a factor.
+    pub(super) fn scaled(mut self, factor: f64) -> Self {
+        for (_, information) in &mut self.patches {
+            *information = Information(information.0.map(|sum| factor * sum));
+        }
+        self
+    }
+}
+
 /// Measures what a shading image tells about the surface of `model`, which was seen from (almost) the same pose.
 pub(super) fn view_information(
     snapshot: &ShadingSnapshot,

@@ -10,6 +10,12 @@ use crate::geometry::{Pose, motion_between};
 use depth_camera::{Frame, Image};
 use nalgebra::{Point3, Vector2};
 
+/// An image counts less by this power of how much faster than the limits the camera was: it is chosen where slower ones tell
+/// little, and hardly where they tell much.
+const HASTE_POWER: i32 = 4;
+/// Images taken faster than the limits by this factor are not used: their blur would be three pixels.
+const MAX_HASTE: f64 = 2.0;
+
 /// The stream of a sensor whose own light is always on.
 pub(super) struct EmitterStream {
     optics: Optics,
@@ -19,6 +25,14 @@ pub(super) struct EmitterStream {
     rejected: Rejections,
     /// Whether the operator asked for the next good frame.
     is_requested: bool,
+}
+
+/// A frame that may become a shading image.
+struct Candidate {
+    snapshot: ShadingSnapshot,
+    view: ViewInformation,
+    /// Whether the camera moved within the limits.
+    is_sharp: bool,
 }
 
 /// Where the camera was, and when.
@@ -44,8 +58,15 @@ impl EmitterStream {
         let outcome = self.judge(tracked);
         let rejection = match outcome {
             Ok(None) => None,
-            Ok(Some((snapshot, view))) => match std::mem::take(&mut self.is_requested) {
-                true => self.pool.pin(snapshot, &view),
+            Ok(Some(Candidate {
+                snapshot,
+                view,
+                is_sharp,
+            })) => match self.is_requested && is_sharp {
+                true => {
+                    self.is_requested = false;
+                    self.pool.pin(snapshot, &view)
+                }
                 false => self.pool.offer(snapshot, &view),
             },
             Err(reason) => Some(Rejection {
@@ -105,10 +126,7 @@ impl EmitterStream {
     }
 
     /// The frame as a candidate; `Ok(None)` if it has no IR.
-    fn judge(
-        &mut self,
-        tracked: &TrackedFrame,
-    ) -> Result<Option<(ShadingSnapshot, ViewInformation)>, RejectReason> {
+    fn judge(&mut self, tracked: &TrackedFrame) -> Result<Option<Candidate>, RejectReason> {
         let frame = tracked.frame;
         let before = self.last;
         if let TrackingOutcome::Tracked {
@@ -129,7 +147,7 @@ impl EmitterStream {
         else {
             return Err(RejectReason::NotTracked);
         };
-        let snapshot = candidate(frame, ir, world_from_camera).ok_or(RejectReason::NoDepth)?;
+        let snapshot = shading_image(frame, ir, world_from_camera).ok_or(RejectReason::NoDepth)?;
         let share = saturated_share(&snapshot.ir_counts, self.optics.full_scale);
         if share > self.params.max_saturated_share {
             return Err(RejectReason::Saturated { share });
@@ -137,26 +155,31 @@ impl EmitterStream {
         let model = tracked.model.ok_or(RejectReason::NoInformation)?;
         let view = view_information(&snapshot, model, &self.optics);
         let target = view.target_world.ok_or(RejectReason::NoInformation)?;
-        if let Some(before) = before {
-            self.check_motion(&before, &snapshot, &target)?;
-        }
+        let haste = match before {
+            Some(before) => self.haste(&before, &snapshot, &target)?,
+            None => 0.0,
+        };
         if view.patches.is_empty() {
             return Err(RejectReason::NoInformation);
         }
-        Ok(Some((snapshot, view)))
+        Ok(Some(Candidate {
+            snapshot,
+            view: view.scaled(haste.max(1.0).powi(-HASTE_POWER)),
+            is_sharp: haste <= 1.0,
+        }))
     }
 
-    /// Compares with the tracked frame before, over whatever time has passed; the first frame has none and is taken to be
-    /// still.
-    fn check_motion(
+    /// How much faster than the limits the camera moved since the tracked frame before, over whatever time has passed; the first
+    /// frame has none and is taken to be still.
+    fn haste(
         &self,
         before: &Placed,
         now: &ShadingSnapshot,
         target_world: &Point3<f64>,
-    ) -> Result<(), RejectReason> {
+    ) -> Result<f64, RejectReason> {
         let elapsed = now.device_time_secs - before.device_time_secs;
         if elapsed <= 0.0 {
-            return Ok(());
+            return Ok(0.0);
         }
         let motion = motion_between(&before.world_from_camera, &now.world_from_camera);
         let [fx, fy] = self.optics.focal_px;
@@ -166,22 +189,26 @@ impl EmitterStream {
         let speed_m_per_s = motion.translation_m / elapsed;
         let image_speed_px_per_s = Vector2::new(fx * moved.x, fy * moved.y).norm() / elapsed;
         let params = &self.params;
-        if rotation_rad_per_s > params.max_rotation_rad_per_s
-            || speed_m_per_s > params.max_speed_m_per_s
-            || image_speed_px_per_s > params.max_image_speed_px_per_s
-        {
+        let haste = (rotation_rad_per_s / params.max_rotation_rad_per_s)
+            .max(speed_m_per_s / params.max_speed_m_per_s)
+            .max(image_speed_px_per_s / params.max_image_speed_px_per_s);
+        if haste > MAX_HASTE {
             return Err(RejectReason::TooFast {
                 rotation_rad_per_s,
                 speed_m_per_s,
                 image_speed_px_per_s,
             });
         }
-        Ok(())
+        Ok(haste)
     }
 }
 
 /// The frame as a shading image, `None` without depth.
-fn candidate(frame: &Frame, ir: &Image<u16>, world_from_camera: Pose) -> Option<ShadingSnapshot> {
+fn shading_image(
+    frame: &Frame,
+    ir: &Image<u16>,
+    world_from_camera: Pose,
+) -> Option<ShadingSnapshot> {
     Some(ShadingSnapshot {
         frame_id: frame.frame_id,
         device_time_secs: frame.device_time_secs,
