@@ -10,13 +10,14 @@ pub struct SnapshotParams {
     pub max_snapshots: usize,
     /// Kinect II: choosing ends when one more image adds less than this share of the information chosen.
     pub min_gain_share: f64,
-    /// Kinect II: an image taken while turning faster is not used, radians per second. A walk round an object in 7 s
-    /// turns at 0.94 and is sharp, since the object stays in place on the image.
+    /// Kinect II: an image taken while turning faster counts less by the fourth power of how much, and beyond twice as fast is not
+    /// used; radians per second. A walk round an object in 7 s turns at 0.94 and is sharp, since the object stays in place on the
+    /// image.
     pub max_rotation_rad_per_s: f64,
-    /// Kinect II: an image taken while moving faster is not used, metres per second; 0.7 on that walk at 0.75 m.
+    /// Kinect II: the same for the speed of the camera, metres per second; 0.7 on that walk at 0.75 m.
     pub max_speed_m_per_s: f64,
-    /// Kinect II: an image on which the surface looked at moves faster is blurred, pixels per second: 1.5 px in the 10 ms
-    /// or so that a frame is exposed. The tremor of a hand makes 20 to 60.
+    /// Kinect II: the same for the surface looked at on the image, which blurs, pixels per second: 1.5 px in the 10 ms or so that a
+    /// frame is exposed. The tremor of a hand makes 20 to 60.
     pub max_image_speed_px_per_s: f64,
     /// More saturated pixels than this share make an image useless; single views of a near board have up to 0.13.
     pub max_saturated_share: f64,

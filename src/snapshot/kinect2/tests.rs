@@ -44,9 +44,9 @@ fn turn_about(centre: Vector3<f64>, degrees: f64) -> Pose {
 fn a_pan_blurs_and_a_walk_round_the_object_does_not() {
     let walk = turn_about(Vector3::new(0.0, 0.0, 0.6), 1.5);
     assert_eq!(second_frame(&walk, 20_000), None);
-    let pan = turn_about(Vector3::zeros(), 1.5);
+    let pan = turn_about(Vector3::zeros(), 2.0);
     let reason = second_frame(&pan, 20_000).unwrap();
-    // 1.5° in 1/30 s: 0.785 rad/s, with 91.4 px a radian.
+    // 2° in 1/30 s: 1.047 rad/s, with 91.4 px a radian.
     let RejectReason::TooFast {
         rotation_rad_per_s,
         speed_m_per_s,
@@ -55,15 +55,15 @@ fn a_pan_blurs_and_a_walk_round_the_object_does_not() {
     else {
         panic!("{reason}");
     };
-    assert!((rotation_rad_per_s - 0.785).abs() < 0.001 && speed_m_per_s < 1e-9);
+    assert!((rotation_rad_per_s - 1.047).abs() < 0.001 && speed_m_per_s < 1e-9);
 }
 
 #[test]
 fn fast_and_saturated_frames_are_refused() {
-    let jump = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.04));
+    let jump = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.08));
     assert!(matches!(
         second_frame(&jump, 20_000),
-        Some(RejectReason::TooFast { speed_m_per_s, .. }) if (speed_m_per_s - 1.2).abs() < 1e-9
+        Some(RejectReason::TooFast { speed_m_per_s, .. }) if (speed_m_per_s - 2.4).abs() < 1e-9
     ));
     assert_eq!(
         second_frame(&Pose::identity(), 65_535),
@@ -73,6 +73,36 @@ fn fast_and_saturated_frames_are_refused() {
         second_frame(&Pose::identity(), 100),
         Some(RejectReason::NoInformation)
     );
+}
+
+#[test]
+fn a_fast_image_is_used_until_a_slow_one_tells_the_same() {
+    let info = scenes::camera_info(Sensor::Kinect2);
+    let params = SnapshotParams {
+        max_snapshots: 2,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    let plane = Plane::tilted(0.6, 0.3);
+    let mut observe = |frame_id: u64, time: f64, pose: Pose, is_requested: bool| {
+        selector.request(is_requested);
+        let (snapshot, model) = scenes::view_of_plane(&plane, &pose);
+        let ir = snapshot.ir_counts.map(|_| 20_000);
+        let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
+        selector.observe(&TrackedFrame {
+            frame: &frame,
+            outcome: &scenes::tracked(pose),
+            model: Some(&model),
+        });
+        let chosen = selector.selection().accepted;
+        let chosen = chosen.iter().map(|s| s.frame_id);
+        (chosen.collect::<Vec<u64>>(), selector.is_requested())
+    };
+    let beside = turn_about(Vector3::new(0.0, 0.0, 0.6), 4.0);
+    assert_eq!(observe(0, 0.0, Pose::identity(), false), (vec![0], false));
+    // 4° at 0.6 m in 1/30 s: 1.26 m/s. What is asked for is a slow one.
+    assert_eq!(observe(1, 1.0 / 30.0, beside, true), (vec![0, 1], true));
+    assert_eq!(observe(2, 1.0, beside, true), (vec![0, 2], false));
 }
 
 #[test]
