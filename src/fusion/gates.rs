@@ -56,22 +56,62 @@ pub(super) fn fitness(
     .max(0.0)
 }
 
-/// Judges how far the camera has moved in a time, of which at most `max_secs` count.
+/// A camera that was as fast before may be faster than the limits by this factor: from frame to frame a hand can hardly stop.
+const IN_FULL_SWING: f64 = 2.0;
+/// It is as fast as before if it is where that leads within this share of the limits.
+const AS_BEFORE: f64 = 0.25;
+
+/// Judges how far the camera has moved in a time, and how far it is from where its motion before leads.
 pub(super) fn judge_motion(
     motion: &Motion,
+    deviation: &Motion,
     elapsed_secs: f64,
-    max_secs: f64,
     params: &FusionParams,
 ) -> Result<(), LossReason> {
-    let elapsed = elapsed_secs.clamp(1.0 / 60.0, max_secs);
-    if motion.rotation_rad > params.max_rotation_rad_per_s * elapsed
-        || motion.translation_m > params.max_speed_m_per_s * elapsed
+    let elapsed = elapsed_secs.max(1.0 / 60.0);
+    let is_within = |motion: &Motion, factor: f64| {
+        motion.rotation_rad <= factor * params.max_rotation_rad_per_s * elapsed
+            && motion.translation_m <= factor * params.max_speed_m_per_s * elapsed
+    };
+    if is_within(motion, 1.0) || is_within(motion, IN_FULL_SWING) && is_within(deviation, AS_BEFORE)
     {
+        Ok(())
+    } else {
         Err(LossReason::Jump {
             rotation_rad: motion.rotation_rad,
             translation_m: motion.translation_m,
         })
-    } else {
-        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jump_is_not_believed_unless_the_camera_was_as_fast_before() {
+        let params = FusionParams::default();
+        // At 30 frames a second and 2 m/s.
+        let (elapsed_secs, limit_m) = (1.0 / 30.0, 0.0667);
+        let judge = |moved_m: f64, off_m: f64| {
+            let [motion, deviation] = [moved_m, off_m].map(|translation_m| Motion {
+                rotation_rad: 0.08,
+                translation_m,
+            });
+            let deviation = Motion {
+                rotation_rad: 0.01,
+                ..deviation
+            };
+            judge_motion(&motion, &deviation, elapsed_secs, &params)
+        };
+        assert_eq!(judge(0.95 * limit_m, 0.95 * limit_m), Ok(()));
+        let jump = Err(LossReason::Jump {
+            rotation_rad: 0.08,
+            translation_m: 0.08,
+        });
+        assert_eq!(judge(0.08, 0.08), jump, "from rest");
+        assert_eq!(judge(0.08, 0.2 * limit_m), Ok(()), "in full swing");
+        assert_eq!(judge(0.08, 0.3 * limit_m), jump, "beside the swing");
+        assert!(judge(2.1 * limit_m, 0.0).is_err(), "too fast for any hand");
     }
 }

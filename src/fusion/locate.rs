@@ -76,8 +76,8 @@ impl Fusion {
         }
     }
 
-    /// Aligns the frame in hand from where the camera was and from all round it, since how it moved is not known, as after a
-    /// hand covered the projector. Alignment reaches about 3°; from farther it ends between the teeth of a gear, and fits well
+    /// Aligns the frame in hand from where the camera was, from all round it and from where its last known step leads, since how it
+    /// moved is not known, as after a hand covered the projector. Alignment reaches about 3°; from farther it ends between the teeth of a gear, and fits well
     /// enough there to be believed. So the pose is taken from which the model shows most of what the frame shows.
     fn locate_round(
         &self,
@@ -89,7 +89,9 @@ impl Fusion {
         let first = self.locate(model, &self.track, at_rest, time_secs, on_step);
         let reason = first.as_ref().err().copied();
         let mut found: Vec<(Pose, Fit)> = first.into_iter().collect();
-        for swing in swings(f64::from(self.eye.frame.median_depth_m())) {
+        let swings = swings(f64::from(self.eye.frame.median_depth_m()));
+        let once_more = increment(self.track.last_step());
+        for swing in swings.into_iter().chain([once_more]) {
             let guess = at_rest * swing;
             let other = self.locate(model, &self.track, &guess, time_secs, &mut |_| {});
             let is_new = |other: &(Pose, Fit)| {
@@ -142,7 +144,9 @@ impl Fusion {
             Before::Tracked => MAX_PREDICTION_SECS,
             Before::Missing | Before::Lost => MAX_INTERRUPTED_SECS,
         };
-        gates::judge_motion(&motion, time_secs - track.time_secs, max_secs, &self.params)?;
+        let deviation = motion_between(&track.carried_on(time_secs), &pose);
+        let elapsed_secs = (time_secs - track.time_secs).min(max_secs);
+        gates::judge_motion(&motion, &deviation, elapsed_secs, &self.params)?;
         Ok((pose, fit))
     }
 

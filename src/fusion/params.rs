@@ -37,9 +37,9 @@ pub struct FusionParams {
     pub max_rmse_sigmas: f64,
     /// Below this conditioning the geometry does not hold the camera (a bare plane has 0).
     pub min_conditioning: f64,
-    /// A faster turn is not believed, radians per second.
+    /// A faster turn is not believed, radians per second, but for one that was as fast before, and up to twice as fast.
     pub max_rotation_rad_per_s: f64,
-    /// A faster move is not believed, metres per second.
+    /// The same for moves, metres per second.
     pub max_speed_m_per_s: f64,
     /// Whether the slow error of a Kinect I is measured by the scan itself and taken off.
     pub depth_field: bool,

@@ -17,6 +17,8 @@ pub struct Track {
     pub time_secs: f64,
     /// Turn and move per second in the camera frame.
     velocity: Vector6<f64>,
+    /// The last turn and move from one frame to the next that is known.
+    last_step: Vector6<f64>,
 }
 
 impl Track {
@@ -26,13 +28,29 @@ impl Track {
             world_from_camera,
             time_secs,
             velocity: Vector6::zeros(),
+            last_step: Vector6::zeros(),
         }
+    }
+
+    /// Turn and move from one frame to the next when that was last known, in the camera frame; a hand that was held still often goes
+    /// on with what it did.
+    pub fn last_step(&self) -> &Vector6<f64> {
+        &self.last_step
     }
 
     /// Where the camera will be if it goes on moving.
     pub fn predict(&self, time_secs: f64) -> Pose {
         let elapsed = (time_secs - self.time_secs).clamp(0.0, MAX_PREDICTION_SECS);
         self.world_from_camera * increment(&(self.velocity * elapsed))
+    }
+
+    /// Where the camera will be if it goes on moving or, where that is not known, with its last known step.
+    pub fn carried_on(&self, time_secs: f64) -> Pose {
+        if self.is_moving() {
+            self.predict(time_secs)
+        } else {
+            self.world_from_camera * increment(&self.last_step)
+        }
     }
 
     /// Whether the camera is known to move.
@@ -49,16 +67,38 @@ impl Track {
     pub fn moved_to(&self, world_from_camera: Pose, time_secs: f64, has_moved: bool) -> Self {
         let elapsed = time_secs - self.time_secs;
         let step = self.world_from_camera.inverse() * world_from_camera;
-        let velocity = if has_moved && elapsed > 0.0 && elapsed < MAX_PREDICTION_SECS {
+        let (velocity, last_step) = if has_moved && elapsed > 0.0 && elapsed < MAX_PREDICTION_SECS {
             let (turn, shift) = (step.rotation.scaled_axis(), step.translation.vector);
-            Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z) / elapsed
+            let step = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+            (step / elapsed, step)
         } else {
-            Vector6::zeros()
+            (Vector6::zeros(), self.last_step)
         };
         Track {
             world_from_camera,
             time_secs,
             velocity,
+            last_step,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_that_stopped_goes_on_with_its_last_step_and_one_in_motion_at_its_speed() {
+        let shifted = |x_m: f64| Pose::translation(x_m, 0.0, 0.0);
+        let track = Track::at(Pose::identity(), 0.0).moved_to(shifted(0.03), 0.1, true);
+        let x_of = |pose: Pose| pose.translation.x;
+        assert!((x_of(track.carried_on(0.3)) - 0.09).abs() < 1e-12);
+        let mut held = track;
+        held.stop();
+        assert!((x_of(held.carried_on(0.3)) - 0.06).abs() < 1e-12);
+        // Too long after to be a step: the one before is remembered.
+        let later = held.moved_to(shifted(0.04), 1.1, true);
+        assert!(!later.is_moving());
+        assert!((x_of(later.carried_on(1.2)) - 0.07).abs() < 1e-12);
     }
 }
