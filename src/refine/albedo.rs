@@ -134,15 +134,16 @@ impl Albedo {
             pair_cost,
         };
         let mut labels = labelling.solve();
-        spread(&labelling, &mut labels, &sites.points, all_neighbours);
-        let albedo = Self::of_labels(labels, n_groups, &ratios);
-        if groups.mode == AlbedoMode::Mixture && albedo.has_twins() {
+        let albedos = of_groups(&labels, n_groups, &ratios);
+        if groups.mode == AlbedoMode::Mixture && are_twins_among(&albedos) {
             let fewer = Groups {
                 at_most: n_groups - 1,
                 ..groups
             };
             return Self::estimate(sites, all_neighbours, observations, fewer, current);
         }
+        spread(&labelling, &mut labels, &sites.points, all_neighbours);
+        let albedo = Self::of_labels(labels, n_groups, &ratios);
         Some(match current {
             Some((before, _)) => {
                 let kept = before.kept_tints(&albedo);
@@ -157,13 +158,6 @@ impl Albedo {
         let ratios = ratios(sites, observations, Some((&self, loss)));
         let tints = tints(sites, &self.labels, &self.groups, &ratios);
         self.tinted(tints, &ratios)
-    }
-
-    /// Whether two groups are of nearly one albedo: a stain may look like two materials until each is measured.
-    fn has_twins(&self) -> bool {
-        let mut logs: Vec<f64> = self.groups.iter().map(|albedo| albedo.ln()).collect();
-        logs.sort_by(f64::total_cmp);
-        logs.windows(2).any(|pair| pair[1] - pair[0] < SAME_GROUP)
     }
 
     /// The tints of those sites that stay in a group of the same albedo.
@@ -191,21 +185,9 @@ impl Albedo {
         }
     }
 
-    /// The albedos of given groups: Eq. (2) within each.
+    /// Groups with these labels.
     fn of_labels(labels: Vec<u8>, n_groups: usize, ratios: &[Ratio]) -> Albedo {
-        let mut sums = vec![(0.0, 0.0); n_groups];
-        for (&label, ratio) in labels.iter().zip(ratios) {
-            let sum: &mut Ratio = &mut sums[label as usize];
-            *sum = (sum.0 + ratio.0, sum.1 + ratio.1);
-        }
-        let (n, d) = ratios
-            .iter()
-            .fold((0.0, 0.0), |(n, d), ratio| (n + ratio.0, d + ratio.1));
-        let overall = n / d;
-        let groups: Vec<f64> = sums
-            .iter()
-            .map(|&(n, d)| if d > 0.0 { n / d } else { overall })
-            .collect();
+        let groups = of_groups(&labels, n_groups, ratios);
         let tints = vec![1.0; labels.len()];
         let by_site = by_site(&groups, &labels, &tints);
         let mut offsets: Vec<f64> = ratios
@@ -281,6 +263,28 @@ impl Albedo {
     }
 }
 
+/// The albedos of given groups: Eq. (2) within each, and of all sites for one that no site belongs to.
+fn of_groups(labels: &[u8], n_groups: usize, ratios: &[Ratio]) -> Vec<f64> {
+    let plus = |sum: Ratio, ratio: &Ratio| (sum.0 + ratio.0, sum.1 + ratio.1);
+    let mut sums: Vec<Ratio> = vec![(0.0, 0.0); n_groups];
+    for (&label, ratio) in labels.iter().zip(ratios) {
+        sums[label as usize] = plus(sums[label as usize], ratio);
+    }
+    let (n, d) = ratios.iter().fold((0.0, 0.0), plus);
+    let of_sum = |&(numerator, denominator): &Ratio| match denominator > 0.0 {
+        true => numerator / denominator,
+        false => n / d,
+    };
+    sums.iter().map(of_sum).collect()
+}
+
+/// Whether two groups are of nearly one albedo: a stain may look like two materials until each is measured.
+fn are_twins_among(groups: &[f64]) -> bool {
+    let mut logs: Vec<f64> = groups.iter().map(|albedo| albedo.ln()).collect();
+    logs.sort_by(f64::total_cmp);
+    logs.windows(2).any(|pair| pair[1] - pair[0] < SAME_GROUP)
+}
+
 fn by_site(groups: &[f64], labels: &[u8], tints: &[f64]) -> Vec<f64> {
     let of_site = |(&label, tint): (&u8, &f64)| groups[label as usize] * tint;
     labels.iter().zip(tints).map(of_site).collect()
@@ -334,14 +338,14 @@ mod tests {
 
     #[test]
     fn a_stain_in_two_halves_is_no_second_material() {
-        let has_twins = |albedos: [f64; 2]| {
+        let are_twins = |albedos: [f64; 2]| {
             let ratios = albedos.map(|albedo| (2.0 * albedo, 2.0));
-            Albedo::of_labels(vec![0, 1], 2, &ratios).has_twins()
+            are_twins_among(&of_groups(&[0, 1], 2, &ratios))
         };
-        assert!(has_twins([0.165, 0.179]) && has_twins([0.179, 0.165]));
-        assert!(!has_twins([0.15, 0.21]));
+        assert!(are_twins([0.165, 0.179]) && are_twins([0.179, 0.165]));
+        assert!(!are_twins([0.15, 0.21]));
         // A group that no site belongs to has the albedo of all.
-        assert!(Albedo::of_labels(vec![0, 0], 2, &[(0.3, 2.0); 2]).has_twins());
+        assert!(are_twins_among(&of_groups(&[0, 0], 2, &[(0.3, 2.0); 2])));
     }
 
     #[test]

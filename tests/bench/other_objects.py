@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Writes a simulated session of another object, as a Kinect would have recorded it, with its true surface and poses.
 
-    other_objects.py OBJECT OUT [--sensor kinect1] [--frames N] [--gamma G] [--lobe POWER] [--lens POWER] [--seed S]
+    other_objects.py OBJECT OUT [--sensor kinect1] [--frames N] [--gamma G] [--lobe POWER] [--lens POWER] [--tremor MM]
+                     [--seed S]
 
 Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pressed into clay, from the front), `stained` (the
 same, of an albedo that changes slowly), `gear` (sharp
@@ -33,6 +34,8 @@ from other_surroundings import unit
 GATHERED, COARSE = 64, 4
 # A pixel is integrated by two points an axis so far from its middle (Gauss), which blur as much as all of it does.
 GAUSS = 0.5 / 3**0.5
+# A hand that trembles turns by so much while it moves by a millimetre.
+TREMOR_RAD_PER_MM = 0.003
 
 
 def normals_of(v, f):
@@ -44,8 +47,9 @@ def normals_of(v, f):
     return unit(n)
 
 
-def path(kind, n, turns, centre, reach, random):
-    """World from camera for each frame: a hand that goes round at a reach in metres, with slow wavering."""
+def path(kind, n, turns, centre, reach, tremor_mm, random):
+    """World from camera for each frame: a hand that goes round at a reach in metres, with slow wavering, and trembles by so much from frame to
+    frame."""
     s = np.linspace(0, 1, n)
     waver = gaussian_filter(random.normal(size=(n, 6)), (n / 18, 0))
     waver /= np.abs(waver).max(0)
@@ -64,6 +68,11 @@ def path(kind, n, turns, centre, reach, random):
     frame = np.stack([right, np.cross(forward, right), forward], -1)
     poses[:, :3, :3] = frame @ Rotation.from_euler("z", 0.25 * waver[:, 4:5]).as_matrix()
     poses[:, :3, 3] = at
+    if tremor_mm:
+        shake = gaussian_filter(random.normal(size=(n, 6)), (1, 0))
+        shake *= np.repeat([1e-3, TREMOR_RAD_PER_MM], 3) * tremor_mm / shake.std(0)
+        poses[:, :3, 3] += shake[:, :3]
+        poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(shake[:, 3:]).as_matrix()
     return poses
 
 
@@ -278,6 +287,7 @@ def main():
     parser.add_argument("--gamma", type=float, help="default: 0.80 for a Kinect I, 0.87 for a Kinect II")
     parser.add_argument("--lobe", type=float, help="power of the cosine by which the light falls; default: 0 and 1.5")
     parser.add_argument("--lens", type=float, help="power of the cosine by which the lens darkens; default: 1.5 and 2")
+    parser.add_argument("--tremor", type=float, default=0.0, help="deviation of a hand's tremor, mm along each axis; default: none")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     kind_of_sensor = SENSORS[args.sensor]
@@ -291,7 +301,7 @@ def main():
     sensor = kind_of_sensor(scene, args, v.min(0) + [-0.01, -0.01, 0.0005], v.max(0) + 0.01, random)
     for name in ("depth", "ir"):
         (args.out / name).mkdir(parents=True, exist_ok=False)
-    poses = path(kind, args.frames, args.turns, (v.min(0) + v.max(0)) / 2, sensor.REACH_M, random)
+    poses = path(kind, args.frames, args.turns, (v.min(0) + v.max(0)) / 2, sensor.REACH_M, args.tremor, random)
     lists = {"depth": ["# timestamp filename"], "ir": ["# timestamp filename"], "groundtruth": ["# timestamp tx ty tz qx qy qz qw (world from camera)"]}
     now = 100.0 - 1 / 30
     for k, pose in enumerate(poses):
