@@ -76,9 +76,10 @@ impl Fusion {
         }
     }
 
-    /// Aligns the frame in hand from where the camera was, from all round it and from where its last known step leads, since how it
-    /// moved is not known, as after a hand covered the projector. Alignment reaches about 3°; from farther it ends between the teeth of a gear, and fits well
-    /// enough there to be believed. So the pose is taken from which the model shows most of what the frame shows.
+    /// Aligns the frame in hand from where the camera was, from all round it and from where its last known step leads, since how
+    /// it moved is not known, as after a hand covered the projector. Alignment reaches about 3°; from farther it ends between the
+    /// teeth of a gear, and fits well enough there to be believed. So the pose is taken from which the model shows most of what
+    /// the frame shows.
     fn locate_round(
         &self,
         model: &ModelMap,

@@ -12,14 +12,14 @@ use nalgebra::Point3;
 
 /// Sites farther than so many steps from those that no view tells of simply have their label: 10 and 16 label `pot-k1` no better.
 const STEPS: u32 = 6;
-/// How much sites that no view tells of are pulled towards the commonest label, in units of a neighbour's pull: it decides only where no
-/// path leads to others.
+/// How much sites that no view tells of are pulled towards the commonest label, in units of a neighbour's pull: it decides only
+/// where no path leads to others.
 const TOWARDS_COMMONEST: f64 = 1e-6;
 /// Of a site that takes no part.
 const NONE: u32 = u32::MAX;
 
 /// Gives the silent sites of a labelling labels; sites have places in space and `pairs` of neighbours, each named once, across
-/// the folds too that part them for Eq. (4).
+/// the folds too that part them for Eq. (4). If memory does not suffice, all of them get the commonest label.
 pub fn spread(
     labelling: &Labelling,
     labels: &mut [u8],
@@ -39,6 +39,9 @@ pub fn spread(
         index_of[site as usize] = index;
     }
     let commonest = commonest(labelling, labels);
+    for &site in &near[..n_silent] {
+        labels[site as usize] = commonest;
+    }
     let mut diagonal = Vec::with_capacity(near.len());
     let mut pulls = vec![0.0; labelling.n_labels * near.len()];
     let mut among_them = Vec::new();
