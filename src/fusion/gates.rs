@@ -56,9 +56,11 @@ pub(super) fn fitness(
     .max(0.0)
 }
 
-/// A camera that was as fast before may be faster than the limits by this factor: from frame to frame a hand can hardly stop.
+/// A camera that was as fast before may be faster than the limits by this factor: from frame to frame a hand can hardly stop. The
+/// factor is arbitrary.
 const IN_FULL_SWING: f64 = 2.0;
-/// It is as fast as before if it is where that leads within this share of the limits.
+/// It is as fast as before if it is where that leads within this share of the limits; arbitrary, 17 mm from one frame to the
+/// next are an acceleration of 15 m/s².
 const AS_BEFORE: f64 = 0.25;
 
 /// Judges how far the camera has moved in a time, and how far it is from where its motion before leads.

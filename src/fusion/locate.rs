@@ -64,8 +64,8 @@ impl Fusion {
         on_step: &mut OnStep,
     ) -> Result<(Pose, Fit), LossReason> {
         let track = &self.track;
-        let carried_on = track.predict(time_secs);
-        let found = self.locate(model, track, &carried_on, time_secs, on_step);
+        let predicted = track.predict(time_secs);
+        let found = self.locate(model, track, &predicted, time_secs, on_step);
         match found {
             Err(reason) if track.is_moving() && self.is_after_gap(time_secs) => {
                 let at_rest = &track.world_from_camera;
@@ -91,9 +91,9 @@ impl Fusion {
         let reason = first.as_ref().err().copied();
         let mut found: Vec<(Pose, Fit)> = first.into_iter().collect();
         let swings = swings(f64::from(self.eye.frame.median_depth_m()));
-        let once_more = increment(self.track.last_step());
-        for swing in swings.into_iter().chain([once_more]) {
-            let guess = at_rest * swing;
+        let all_round = swings.map(|swing| at_rest * swing);
+        let once_more = self.track.carried_on(time_secs);
+        for guess in all_round.into_iter().chain([once_more]) {
             let other = self.locate(model, &self.track, &guess, time_secs, &mut |_| {});
             let is_new = |other: &(Pose, Fit)| {
                 let is_same =

@@ -17,7 +17,7 @@ pub struct Track {
     pub time_secs: f64,
     /// Turn and move per second in the camera frame.
     velocity: Vector6<f64>,
-    /// The last turn and move from one frame to the next that is known.
+    /// The last turn and move from one frame to the next that is known, in the camera frame.
     last_step: Vector6<f64>,
 }
 
@@ -32,19 +32,14 @@ impl Track {
         }
     }
 
-    /// Turn and move from one frame to the next when that was last known, in the camera frame; a hand that was held still often goes
-    /// on with what it did.
-    pub fn last_step(&self) -> &Vector6<f64> {
-        &self.last_step
-    }
-
     /// Where the camera will be if it goes on moving.
     pub fn predict(&self, time_secs: f64) -> Pose {
         let elapsed = (time_secs - self.time_secs).clamp(0.0, MAX_PREDICTION_SECS);
         self.world_from_camera * increment(&(self.velocity * elapsed))
     }
 
-    /// Where the camera will be if it goes on moving or, where that is not known, with its last known step.
+    /// Where the camera will be if it goes on moving or, where that is not known, with its last known step: a hand that was held
+    /// still often goes on with what it did.
     pub fn carried_on(&self, time_secs: f64) -> Pose {
         if self.is_moving() {
             self.predict(time_secs)

@@ -11,7 +11,7 @@ use depth_camera::{Frame, Image};
 use nalgebra::{Point3, Vector2};
 
 /// An image counts less by this power of how much faster than the limits the camera was: it is chosen where slower ones tell
-/// little, and hardly where they tell much.
+/// little, and hardly where they tell much. The power is arbitrary.
 const HASTE_POWER: i32 = 4;
 /// Images taken faster than the limits by this factor are not used: their blur would be three pixels.
 const MAX_HASTE: f64 = 2.0;

@@ -10,6 +10,24 @@ use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
 use std::time::Duration;
 
+/// Shows a selector an image of a plane, as bright all over, from a pose.
+fn observe(
+    selector: &mut SnapshotSelector,
+    plane: &Plane,
+    (frame_id, time): (u64, f64),
+    pose: &Pose,
+    counts: u16,
+) {
+    let (snapshot, model) = scenes::view_of_plane(plane, pose);
+    let ir = snapshot.ir_counts.map(|_| counts);
+    let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
+    selector.observe(&TrackedFrame {
+        frame: &frame,
+        outcome: &scenes::tracked(*pose),
+        model: Some(&model),
+    });
+}
+
 /// What becomes of the second of two frames of a tilted plane, 33 ms apart, when the camera moves by `step`.
 fn second_frame(step: &Pose, counts: u16) -> Option<RejectReason> {
     let info = scenes::camera_info(Sensor::Kinect2);
@@ -19,17 +37,9 @@ fn second_frame(step: &Pose, counts: u16) -> Option<RejectReason> {
         ..SnapshotParams::default()
     };
     let mut selector = SnapshotSelector::new(&info, params).unwrap();
-    for (frame_id, pose, counts) in [(0, Pose::identity(), 20_000), (1, *step, counts)] {
-        let (snapshot, model) = scenes::view_of_plane(&Plane::tilted(0.6, 0.0), &pose);
-        let ir = snapshot.ir_counts.map(|_| counts);
-        let time = frame_id as f64 / 30.0;
-        let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
-        selector.observe(&TrackedFrame {
-            frame: &frame,
-            outcome: &scenes::tracked(pose),
-            model: Some(&model),
-        });
-    }
+    let plane = Plane::tilted(0.6, 0.0);
+    observe(&mut selector, &plane, (0, 0.0), &Pose::identity(), 20_000);
+    observe(&mut selector, &plane, (1, 1.0 / 30.0), step, counts);
     let selection = selector.finish();
     assert_eq!(selection.accepted.len() + selection.rejected.len(), 2);
     selection.rejected.first().map(|r| r.reason)
@@ -44,6 +54,8 @@ fn turn_about(centre: Vector3<f64>, degrees: f64) -> Pose {
 fn a_pan_blurs_and_a_walk_round_the_object_does_not() {
     let walk = turn_about(Vector3::new(0.0, 0.0, 0.6), 1.5);
     assert_eq!(second_frame(&walk, 20_000), None);
+    let slower_pan = turn_about(Vector3::zeros(), 1.5);
+    assert_eq!(second_frame(&slower_pan, 20_000), None, "blurred, but used");
     let pan = turn_about(Vector3::zeros(), 2.0);
     let reason = second_frame(&pan, 20_000).unwrap();
     // 2° in 1/30 s: 1.047 rad/s, with 91.4 px a radian.
@@ -84,25 +96,22 @@ fn a_fast_image_is_used_until_a_slow_one_tells_the_same() {
     };
     let mut selector = SnapshotSelector::new(&info, params).unwrap();
     let plane = Plane::tilted(0.6, 0.3);
-    let mut observe = |frame_id: u64, time: f64, pose: Pose, is_requested: bool| {
+    let mut chosen_after = |frame_id: u64, time: f64, pose: Pose, is_requested: bool| {
         selector.request(is_requested);
-        let (snapshot, model) = scenes::view_of_plane(&plane, &pose);
-        let ir = snapshot.ir_counts.map(|_| 20_000);
-        let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
-        selector.observe(&TrackedFrame {
-            frame: &frame,
-            outcome: &scenes::tracked(pose),
-            model: Some(&model),
-        });
+        observe(&mut selector, &plane, (frame_id, time), &pose, 20_000);
         let chosen = selector.selection().accepted;
         let chosen = chosen.iter().map(|s| s.frame_id);
         (chosen.collect::<Vec<u64>>(), selector.is_requested())
     };
-    let beside = turn_about(Vector3::new(0.0, 0.0, 0.6), 4.0);
-    assert_eq!(observe(0, 0.0, Pose::identity(), false), (vec![0], false));
+    let (still, beside) = (
+        Pose::identity(),
+        turn_about(Vector3::new(0.0, 0.0, 0.6), 4.0),
+    );
+    assert_eq!(chosen_after(0, 0.0, still, false), (vec![0], false));
     // 4° at 0.6 m in 1/30 s: 1.26 m/s. What is asked for is a slow one.
-    assert_eq!(observe(1, 1.0 / 30.0, beside, true), (vec![0, 1], true));
-    assert_eq!(observe(2, 1.0, beside, true), (vec![0, 2], false));
+    let soon = 1.0 / 30.0;
+    assert_eq!(chosen_after(1, soon, beside, true), (vec![0, 1], true));
+    assert_eq!(chosen_after(2, 1.0, beside, true), (vec![0, 2], false));
 }
 
 #[test]
@@ -171,16 +180,9 @@ fn an_image_that_is_asked_for_waits_for_a_good_frame() {
     };
     let mut selector = SnapshotSelector::new(&info, params).unwrap();
     let observe = |selector: &mut SnapshotSelector, frame_id: u64, counts: u16| {
-        let pose = Pose::identity();
-        let (snapshot, model) = scenes::view_of_plane(&Plane::tilted(0.6, 0.0), &pose);
-        let ir = snapshot.ir_counts.map(|_| counts);
-        let time = frame_id as f64;
-        let frame = scenes::frame(frame_id, time, Some(snapshot.depth_m), Some(ir));
-        selector.observe(&TrackedFrame {
-            frame: &frame,
-            outcome: &scenes::tracked(pose),
-            model: Some(&model),
-        });
+        let at = (frame_id, frame_id as f64);
+        let plane = Plane::tilted(0.6, 0.0);
+        observe(selector, &plane, at, &Pose::identity(), counts);
     };
     observe(&mut selector, 0, 20_000);
     selector.request(true);
