@@ -15,6 +15,7 @@ use relief::control::Progress;
 use std::process::ExitCode;
 
 /// The system's own kept ever more of what a daemon lets go over hours.
+#[cfg(feature = "jemalloc")]
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 

@@ -10,7 +10,7 @@ passes=(-Cpasses=sancov-module)
 for argument in level=4 inline-8bit-counters pc-table trace-compares; do
     passes+=("-Cllvm-args=-sanitizer-coverage-$argument")
 done
-export RUSTFLAGS="${passes[*]} -Ccodegen-units=1 --cfg fuzzing"
+export RUSTFLAGS="${passes[*]} --cfg fuzzing"
 # Naming the host's own target keeps the counters out of build scripts.
 ${CARGO:-cargo} build --release --locked --target "$host"
 mkdir -p artifacts logs
