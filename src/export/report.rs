@@ -131,7 +131,7 @@ pub struct RefinedMesh {
     pub edge_length_m: f64,
     /// The materials found, in the order of their labels, from dark to bright.
     pub albedo: Vec<AlbedoShare>,
-    /// Brightness at the middle of the gloss that the images show, in albedos; 0 where the surface is taken for matte.
+    /// Gloss of the glossiest of them.
     pub gloss: f64,
     /// Difference of rendered and observed IR over all views on the base mesh, root mean square, share of the mean observed
     /// linear intensity.
@@ -203,6 +203,8 @@ pub struct AlbedoShare {
     pub albedo: f64,
     /// Its share of the surface, 0 to 1.
     pub area_share: f64,
+    /// Brightness at the middle of the gloss that the images show, in albedos; 0 where it is taken for matte.
+    pub gloss: f64,
 }
 
 /// One shading image in refinement.

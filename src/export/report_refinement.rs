@@ -43,8 +43,8 @@ pub(super) fn refinement(refined: &RefinedMesh, pictures: &EncodedPictures) -> M
                     @for (label, material) in refined.albedo.iter().enumerate() {
                         @if label > 0 { ", " }
                         (fixed(material.albedo, 3)) " (label " (label) ") on " (fixed(100.0 * material.area_share, 0)) " % of the surface"
+                        @if material.gloss > 0.0 { ", glossy: " (fixed(material.gloss, 2)) " of it at the middle of a highlight" }
                     } "."
-                    @if refined.gloss > 0.0 { " It is glossy: " (fixed(refined.gloss, 2)) " of its albedo at the middle of a highlight." }
                 }
             }
             @if !pictures.fields.is_empty() {

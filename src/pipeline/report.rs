@@ -14,7 +14,7 @@ use crate::{
         AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView,
         Report, Tracking,
     },
-    refine::{Judgement, RefineStatus, Refinement},
+    refine::{Judgement, Material, RefineStatus, Refinement},
     snapshot::ShadingSnapshot,
 };
 use depth_camera::CameraInfo;
@@ -66,9 +66,10 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
     warnings.extend(refined.refinement.as_ref().and_then(unjudged));
     warnings.extend(refined.refinement.as_ref().and_then(contradicted));
     warnings.extend(
-        refined.refinement.as_ref().and_then(|refinement| {
-            one_for_all(&refinement.albedo_groups, refinement.albedo_spread)
-        }),
+        refined
+            .refinement
+            .as_ref()
+            .and_then(|refinement| one_for_all(&refinement.materials, refinement.albedo_spread)),
     );
     Report {
         session: subject.session.clone(),
@@ -137,12 +138,15 @@ fn contradicted(refinement: &Refinement) -> Option<String> {
 }
 
 /// The warning about one label (albedos with their shares of the surface) where facets differ more than a material does.
-fn one_for_all(groups: &[(f64, f64)], spread: f64) -> Option<String> {
+fn one_for_all(materials: &[Material], spread: f64) -> Option<String> {
     /// From this share on a label has swallowed the rest; arbitrary.
     const SWALLOWED: f64 = 0.98;
     /// Spread of the facets' own log albedos about their groups': 0.05 to 0.15 where the groups are right.
     const MAX_SPREAD: f64 = 0.25;
-    let largest = groups.iter().map(|(_, share)| *share).fold(0.0, f64::max);
+    let largest = materials
+        .iter()
+        .map(|material| material.share)
+        .fold(0.0, f64::max);
     (largest >= SWALLOWED && spread > MAX_SPREAD).then(|| {
         format!(
             "one albedo was taken for {:.0} % of the surface, whose own albedos spread by {:.0} % about it: more materials than              could be told apart; their borders may stand out as relief",
@@ -236,11 +240,17 @@ fn refined_mesh(
             .collect(),
         edge_length_m: refinement.edge_length_m,
         albedo: refinement
-            .albedo_groups
+            .materials
             .iter()
-            .map(|&(albedo, area_share)| AlbedoShare { albedo, area_share })
+            .map(|material| AlbedoShare {
+                albedo: material.albedo,
+                area_share: material.share,
+                gloss: material.gloss.strength,
+            })
             .collect(),
-        gloss: refinement.gloss.strength,
+        gloss: (refinement.materials.iter())
+            .map(|material| material.gloss.strength)
+            .fold(0.0, f64::max),
         rmse_before: refinement.rmse_before,
         rmse_after: refinement.rmse_after,
         held_out: held_out(&refinement.judgement),
@@ -286,16 +296,22 @@ fn status_name(status: RefineStatus) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use super::one_for_all;
+    use super::{Material, one_for_all};
+    use crate::shading::Gloss;
 
     #[test]
     fn one_label_for_what_differs_is_told() {
-        let told = one_for_all(&[(0.1, 0.01), (0.2, 0.99)], 0.4).unwrap();
+        let material = |share: f64| Material {
+            albedo: 0.2,
+            share,
+            gloss: Gloss::default(),
+        };
+        let told = one_for_all(&[0.01, 0.99].map(material), 0.4).unwrap();
         assert!(
             told.contains("99 % of the surface") && told.contains("spread by 40 %"),
             "{told}"
         );
-        assert_eq!(one_for_all(&[(0.2, 1.0)], 0.1), None);
-        assert_eq!(one_for_all(&[(0.1, 0.4), (0.2, 0.6)], 0.4), None);
+        assert_eq!(one_for_all(&[1.0].map(material), 0.1), None);
+        assert_eq!(one_for_all(&[0.4, 0.6].map(material), 0.4), None);
     }
 }

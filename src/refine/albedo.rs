@@ -13,10 +13,11 @@ use super::median_albedo::medians;
 use super::mixture::Mixture;
 use super::neighbourhood::Neighbourhood;
 use super::observations::Observations;
+use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
 use super::tint::tints;
 use crate::geometry::TriMesh;
-use crate::shading::{Tukey, median_absolute_deviation};
+use crate::shading::{Gloss, Tukey, median_absolute_deviation};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -50,6 +51,17 @@ impl Default for AlbedoParams {
     }
 }
 
+/// What a group of sites is of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Albedo times the light's strength, m².
+    pub albedo: f64,
+    /// Share of the sites.
+    pub share: f64,
+    /// How glossy the images show it to be.
+    pub gloss: Gloss,
+}
+
 /// Numerator and denominator of a ratio of sums.
 pub type Ratio = (f64, f64);
 
@@ -64,6 +76,8 @@ pub struct Albedo {
     pub labels: Vec<u8>,
     /// Albedo of each group, ascending.
     pub groups: Vec<f64>,
+    /// How glossy each group is.
+    pub gloss: Vec<Gloss>,
     /// Robust standard deviation of the sites' own log albedos about their groups'.
     pub spread: f64,
 }
@@ -147,7 +161,10 @@ impl Albedo {
         Some(match current {
             Some((before, _)) => {
                 let kept = before.kept_tints(&albedo);
-                albedo.tinted(kept, &ratios)
+                Albedo {
+                    gloss: before.kept_gloss(&albedo),
+                    ..albedo.tinted(kept, &ratios)
+                }
             }
             None => albedo,
         })
@@ -170,6 +187,25 @@ impl Albedo {
         self.tints.iter().enumerate().map(kept).collect()
     }
 
+    /// The gloss of the next groups: each has that of the group which most of its sites were in.
+    fn kept_gloss(&self, next: &Albedo) -> Vec<Gloss> {
+        let mut counts = vec![vec![0usize; self.groups.len()]; next.groups.len()];
+        for (&before, &label) in self.labels.iter().zip(&next.labels) {
+            counts[label as usize][before as usize] += 1;
+        }
+        let commonest = |counts: &Vec<usize>| {
+            let groups = (0..counts.len()).rev();
+            let group = groups.max_by_key(|&group| counts[group]);
+            group.map_or_else(Gloss::default, |group| self.gloss[group])
+        };
+        counts.iter().map(commonest).collect()
+    }
+
+    /// How glossy its sites are.
+    pub fn site_gloss(&self) -> SiteGloss {
+        SiteGloss::of_labels(&self.gloss, &self.labels)
+    }
+
     /// The same labels with other tints, and the albedos of the groups as Eq. (2) has them then.
     fn tinted(self, tints: Vec<f64>, ratios: &[Ratio]) -> Albedo {
         let n_groups = self.groups.len();
@@ -181,11 +217,12 @@ impl Albedo {
         Albedo {
             by_site: by_site(&albedo.groups, &albedo.labels, &tints),
             tints,
+            gloss: self.gloss,
             ..albedo
         }
     }
 
-    /// Groups with these labels.
+    /// Matte groups with these labels.
     fn of_labels(labels: Vec<u8>, n_groups: usize, ratios: &[Ratio]) -> Albedo {
         let groups = of_groups(&labels, n_groups, ratios);
         let tints = vec![1.0; labels.len()];
@@ -200,6 +237,7 @@ impl Albedo {
             by_site,
             tints,
             labels,
+            gloss: vec![Gloss::default(); n_groups],
             groups,
             spread: median_absolute_deviation(&mut offsets),
         }
@@ -250,16 +288,31 @@ impl Albedo {
         counts.chunks_exact(n_groups.max(1)).map(most).collect()
     }
 
-    /// Share of the sites in each group.
-    pub fn shares(&self) -> Vec<f64> {
+    /// Group of each face: its site's, or that of most of its corners, the first of three.
+    pub fn labels_by_face(&self, kind: SiteKind, mesh: &TriMesh) -> Vec<u8> {
+        if kind == SiteKind::Face {
+            return self.labels.clone();
+        }
+        let of_face = |face: &[u32; 3]| {
+            let [a, b, c] = face.map(|vertex| self.labels[vertex as usize]);
+            if b == c { b } else { a }
+        };
+        mesh.faces.iter().map(of_face).collect()
+    }
+
+    /// The groups as materials.
+    pub fn materials(&self) -> Vec<Material> {
         let mut counts = vec![0usize; self.groups.len()];
         self.labels
             .iter()
             .for_each(|&label| counts[label as usize] += 1);
-        counts
-            .into_iter()
-            .map(|count| count as f64 / self.labels.len().max(1) as f64)
-            .collect()
+        let groups = self.groups.iter().zip(&self.gloss).zip(counts);
+        let material = |((&albedo, &gloss), count)| Material {
+            albedo,
+            share: count as f64 / self.labels.len().max(1) as f64,
+            gloss,
+        };
+        groups.map(material).collect()
     }
 }
 

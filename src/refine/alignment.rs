@@ -67,7 +67,7 @@ impl AlignmentTarget<'_> {
             .map(|&site| &self.sites.points[site as usize]);
         Gaze::new(view).each(points, |index, look| {
             let site = self.chosen[index] as usize;
-            if let Some(sample) = view.sample(look, &self.sites.normals[site]) {
+            if let Some(sample) = self.sites.sample(site, view, look) {
                 each(site, self.sites.areas_m2[site], &sample);
             }
         });
@@ -126,8 +126,7 @@ fn row(view: &View, sample: &Sample, albedo: f64, centre: &Point3<f64>) -> Optio
     let (light, n) = (view.light(), &sample.normal_camera);
     let prediction = albedo * sample.unit_prediction;
     let scale = look.gain * albedo;
-    let highlight = view.highlight(look, n);
-    let by_normal = (look.arriving() + highlight.by_normal) * -scale;
+    let by_normal = (look.arriving() + sample.highlight.by_normal) * -scale;
     // Light over other surfaces and the highlight are taken to stay as the point moves.
     let by_point =
         view.image_gradient(look)? - light.irradiance_by_point(&look.point_camera, n) * scale;

@@ -8,6 +8,7 @@ use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
 use crate::geometry::{Pose, RayGrid, TriMesh};
 use crate::interreflection::WhiteLevel;
+use crate::shading::Gloss;
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
@@ -108,7 +109,7 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
         let (point, normal) = at(x, 0.01);
         let mut seen = None;
         Gaze::new(view).each(std::iter::once(&point), |_, look| {
-            seen = view.sample(look, &normal)
+            seen = view.sample(look, &normal, &Gloss::default())
         });
         let sample = seen.expect("is seen");
         WHITE.0 * REFLECTED * sample.unit_prediction / sample.look.observed - 1.0

@@ -3,13 +3,17 @@
 //! In single precision, [`LANES`] points at a time. Places on the image are right to 10⁻⁴ pixels, intensities and light to 10⁻⁵ of
 //! themselves.
 
+mod surfels;
+
 use super::view::{Look, View};
 use crate::geometry::lanes::{LANES, Lane, floor};
 use crate::geometry::{Lens, Pose, Projected};
-use crate::shading::between_pixels;
+use crate::shading::{Gloss, between_pixels};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3};
 use pulp::{Arch, Simd, WithSimd};
+pub use surfels::{Lanes3, Surfels, set_lane};
+use surfels::{by_lane, dot, dots};
 
 /// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
 const HIDDEN_BEYOND_M: f32 = 0.004;
@@ -61,9 +65,6 @@ impl Rigid {
         [0, 1, 2].map(|k| a[k] * x + b[k] * y + c[k] * z)
     }
 }
-
-/// Points or vectors, by axis.
-pub type Lanes3 = [Lane; 3];
 
 /// What a view shows at some points.
 pub struct Looks {
@@ -161,31 +162,27 @@ impl<'a> Gaze<'a> {
         self.arch.dispatch(LookAt { gaze: self, points })
     }
 
-    /// The same as the solver needs it of a surface with these normals, with how it changes as the points move `along` vectors, if they
-    /// do. What pixels mix of a surface `as_it_is` beside the points is taken off what is observed.
+    /// What it shows of pieces of a surface as the solver needs it, with how that changes as they move `along` vectors, if they do. What
+    /// pixels mix of a surface `as_it_is` beside them is taken off what is observed.
     pub fn weighed(
         &self,
-        points: &Lanes3,
-        normals: &Lanes3,
+        surfels: &Surfels,
         along: Option<&Lanes3>,
         as_it_is: Option<AsItIs>,
     ) -> Weighed {
         self.arch.dispatch(Weigh {
             gaze: self,
-            points,
-            normals,
+            surfels,
             along,
             as_it_is,
         })
     }
 
-    /// What the view would show of points (world frame, metres) of a surface of albedo 1 with these normals, linear; NaN outside the
-    /// image and where it is not lit.
-    pub fn predictions(&self, points: &Lanes3, normals: &Lanes3) -> Lane {
+    /// What the view would show of pieces of a surface of albedo 1, linear; NaN outside the image and where it is not lit.
+    pub fn predictions(&self, surfels: &Surfels) -> Lane {
         self.arch.dispatch(Predict {
             gaze: self,
-            points,
-            normals,
+            surfels,
         })
     }
 
@@ -318,13 +315,13 @@ impl<'a> Gaze<'a> {
     #[inline(always)]
     fn weighed_lanes(
         &self,
-        points: &Lanes3,
-        normals: &Lanes3,
+        surfels: &Surfels,
         along: Option<&Lanes3>,
         as_it_is: Option<AsItIs>,
     ) -> Weighed {
-        let (looks, normals) = (self.looks_lanes(points), self.turned(normals));
-        let arriving = self.arriving(&looks, &normals);
+        let looks = self.looks_lanes(&surfels.points);
+        let normals = self.turned(&surfels.normals);
+        let arriving = arriving(&looks, &normals, surfels.gloss.as_ref());
         let mut weighed = Weighed {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
@@ -364,9 +361,10 @@ impl<'a> Gaze<'a> {
     }
 
     #[inline(always)]
-    fn predictions_lanes(&self, points: &Lanes3, normals: &Lanes3) -> Lane {
-        let (looks, normals) = (self.looks_lanes(points), self.turned(normals));
-        let arriving = self.arriving(&looks, &normals);
+    fn predictions_lanes(&self, surfels: &Surfels) -> Lane {
+        let looks = self.looks_lanes(&surfels.points);
+        let normals = self.turned(&surfels.normals);
+        let arriving = arriving(&looks, &normals, surfels.gloss.as_ref());
         let irradiance = dots(&arriving, &normals);
         let mut predictions = [f32::NAN; LANES];
         for i in 0..LANES {
@@ -375,21 +373,6 @@ impl<'a> Gaze<'a> {
             }
         }
         predictions
-    }
-
-    /// What arrives, gloss among it, from what is seen of a surface with these normals, camera frame.
-    #[inline(always)]
-    fn arriving(&self, looks: &Looks, normals: &Lanes3) -> Lanes3 {
-        let mut arriving = looks.direct;
-        for (sum, indirect) in arriving.iter_mut().zip(&looks.indirect) {
-            for i in 0..LANES {
-                sum[i] += indirect[i];
-            }
-        }
-        if self.view.is_glossy() {
-            self.add_gloss(looks, normals, &mut arriving);
-        }
-        arriving
     }
 
     /// Points of the world in the camera frame.
@@ -429,20 +412,35 @@ impl<'a> Gaze<'a> {
         }
         slopes
     }
+}
 
-    /// Adds what gloss sends, as light whose product with the normal (camera frame) has the highlight's value and slope.
-    fn add_gloss(&self, looks: &Looks, normals: &Lanes3, arriving: &mut Lanes3) {
+/// What arrives, gloss among it, from what is seen of a surface with these normals, camera frame.
+#[inline(always)]
+fn arriving(looks: &Looks, normals: &Lanes3, gloss: Option<&[Gloss; LANES]>) -> Lanes3 {
+    let mut arriving = looks.direct;
+    for (sum, indirect) in arriving.iter_mut().zip(&looks.indirect) {
         for i in 0..LANES {
-            let normal = Vector3::from([0, 1, 2].map(|axis| f64::from(normals[axis][i])));
-            let Some(look) = looks.get(i).filter(|_| normal != Vector3::zeros()) else {
-                continue;
-            };
-            let highlight = self.view.highlight(&look, &normal);
-            // The slope lies across the normal: value and slope are right there.
-            let sent = normal * highlight.value + highlight.by_normal;
-            for axis in 0..3 {
-                arriving[axis][i] += sent[axis] as f32;
-            }
+            sum[i] += indirect[i];
+        }
+    }
+    if let Some(gloss) = gloss {
+        add_gloss(looks, normals, gloss, &mut arriving);
+    }
+    arriving
+}
+
+/// Adds what gloss sends, as light whose product with the normal (camera frame) has the highlight's value and slope.
+fn add_gloss(looks: &Looks, normals: &Lanes3, gloss: &[Gloss; LANES], arriving: &mut Lanes3) {
+    for (i, gloss) in gloss.iter().enumerate() {
+        let normal = Vector3::from([0, 1, 2].map(|axis| f64::from(normals[axis][i])));
+        let Some(look) = looks.get(i).filter(|_| normal != Vector3::zeros()) else {
+            continue;
+        };
+        let highlight = gloss.highlight(&look.point_camera, &normal, &look.direct);
+        // The slope lies across the normal: value and slope are right there.
+        let sent = normal * highlight.value + highlight.by_normal;
+        for axis in 0..3 {
+            arriving[axis][i] += sent[axis] as f32;
         }
     }
 }
@@ -458,42 +456,6 @@ fn mixed(looks: &Looks, normals: &Lanes3, arriving: &Lanes3, surface: AsItIs) ->
         mixed[i] = if difference.is_nan() { 0.0 } else { difference };
     }
     mixed
-}
-
-/// Writes a vector into a lane.
-#[inline]
-pub fn set_lane(lanes: &mut Lanes3, lane: usize, value: &Vector3<f64>) {
-    for axis in 0..3 {
-        lanes[axis][lane] = value[axis] as f32;
-    }
-}
-
-/// Vectors one by one as a function has them.
-#[inline(always)]
-fn by_lane(vectors: &Lanes3, of: impl Fn([f32; 3]) -> [f32; 3]) -> Lanes3 {
-    let mut out = [[0.0; LANES]; 3];
-    for i in 0..LANES {
-        let vector = of([0, 1, 2].map(|axis| vectors[axis][i]));
-        for axis in 0..3 {
-            out[axis][i] = vector[axis];
-        }
-    }
-    out
-}
-
-/// Scalar products of vectors.
-#[inline(always)]
-fn dots(a: &Lanes3, b: &Lanes3) -> Lane {
-    let mut products = [0.0; LANES];
-    for i in 0..LANES {
-        products[i] = a[0][i] * b[0][i] + a[1][i] * b[1][i] + a[2][i] * b[2][i];
-    }
-    products
-}
-
-#[inline(always)]
-fn dot(a: &[f32; 3], b: &[f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Whether a surface faces back along the way to it, and not at a grazing angle.
@@ -588,8 +550,7 @@ impl WithSimd for LookAt<'_> {
 
 struct Predict<'a> {
     gaze: &'a Gaze<'a>,
-    points: &'a Lanes3,
-    normals: &'a Lanes3,
+    surfels: &'a Surfels,
 }
 
 impl WithSimd for Predict<'_> {
@@ -597,7 +558,7 @@ impl WithSimd for Predict<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Lane {
-        self.gaze.predictions_lanes(self.points, self.normals)
+        self.gaze.predictions_lanes(self.surfels)
     }
 }
 
@@ -617,8 +578,7 @@ impl WithSimd for Locate<'_> {
 
 struct Weigh<'a> {
     gaze: &'a Gaze<'a>,
-    points: &'a Lanes3,
-    normals: &'a Lanes3,
+    surfels: &'a Surfels,
     along: Option<&'a Lanes3>,
     as_it_is: Option<AsItIs<'a>>,
 }
@@ -629,7 +589,7 @@ impl WithSimd for Weigh<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Weighed {
         self.gaze
-            .weighed_lanes(self.points, self.normals, self.along, self.as_it_is)
+            .weighed_lanes(self.surfels, self.along, self.as_it_is)
     }
 }
 

@@ -13,7 +13,7 @@ use crate::geometry::TriMesh;
 use crate::shading::{Calibration, Gloss};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 const RIPPLED: RippledPlane = RippledPlane {
     amplitude_m: 0.0003,
@@ -211,6 +211,49 @@ fn refine_all_round(
 }
 
 #[test]
+fn one_of_two_materials_is_glossy() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let gloss = Gloss {
+        strength: 0.5,
+        power: 20.0,
+    };
+    for is_glossy in [[true, false], [false, true]] {
+        let snapshots = poses_all_round();
+        let snapshots = snapshots.iter().map(|pose| {
+            let mut snapshot = RIPPLED.snapshot(&optics, pose);
+            let mut glossy = snapshot.clone();
+            RIPPLED.polish(&mut glossy, gloss, &optics);
+            let places = rays.rays().data().iter().zip(snapshot.depth_m.data());
+            let pixels = snapshot.ir_counts.data_mut().iter_mut();
+            let pixels = pixels.zip(glossy.ir_counts.data()).zip(places);
+            for ((counts, polished), ([x, y], depth)) in pixels {
+                let place = pose * (Point3::new(*x, *y, 1.0) * *depth).cast::<f64>();
+                let is_bright = place.x > 0.0;
+                if is_glossy[usize::from(is_bright)] {
+                    *counts = *polished;
+                }
+                if !is_bright {
+                    *counts *= 0.5f64.powf(calibration.gamma) as f32;
+                }
+            }
+            snapshot
+        });
+        let snapshots: Vec<_> = snapshots.collect();
+        let refined = refine_all_round(&base, &snapshots, &optics, true).expect("is told");
+        assert_eq!(refined.materials.len(), 2, "{:?}", refined.materials);
+        for (material, is_glossy) in refined.materials.iter().zip(is_glossy) {
+            let told = material.gloss;
+            match is_glossy {
+                true => assert!((told.strength - gloss.strength).abs() < 0.2, "{told:?}"),
+                false => assert!(told.is_matte(), "{told:?}"),
+            }
+        }
+    }
+}
+
+#[test]
 fn gloss_does_not_bend_the_surface() {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
@@ -238,13 +281,13 @@ fn gloss_does_not_bend_the_surface() {
         angles.iter().sum::<f64>() / angles.len() as f64
     };
     let glossy = refined(true).expect("gloss is told");
-    let told = glossy.gloss.strength;
-    assert!((told - gloss.strength).abs() < 0.2, "{:?}", glossy.gloss);
+    let told = glossy.materials[0].gloss;
+    assert!((told.strength - gloss.strength).abs() < 0.2, "{told:?}");
     let (error, of_base) = (normal_error(&glossy.mesh), normal_error(&base));
     assert!(error < 0.5 * of_base, "{error} of {of_base} rad");
     match refined(false) {
         Ok(matte) => {
-            assert_eq!(matte.gloss, Gloss::default());
+            assert_eq!(matte.materials[0].gloss, Gloss::default());
             let believed_matte = normal_error(&matte.mesh);
             assert!(
                 error < 0.8 * believed_matte,

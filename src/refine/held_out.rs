@@ -141,7 +141,7 @@ fn settle_and_render(
     albedo: &Albedo,
     view: &mut View,
 ) -> Image<f32> {
-    let sites = rounds.settle(view, mesh, &albedo.by_site);
+    let sites = rounds.settle(view, mesh, albedo);
     render(view, mesh, (&sites, 0), &albedo.by_site)
 }
 

@@ -161,6 +161,7 @@ fn neighbouring_faces(sides: &[[u32; 3]], n_edges: usize) -> Vec<[u32; 2]> {
 mod tests {
     use super::super::scenes::{RippledPlane, surface_of};
     use super::*;
+    use crate::shading::Gloss;
     use nalgebra::Vector3;
 
     fn of_edge(edge_length_m: f64, n_rounds: usize) -> RefineParams {
@@ -213,6 +214,7 @@ mod tests {
                 tints: vec![1.0; labels.len()],
                 labels,
                 groups: vec![0.0, 1.0],
+                gloss: vec![Gloss::default(); 2],
                 spread: 0.0,
             },
         };

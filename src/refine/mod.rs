@@ -47,6 +47,7 @@ mod rounds;
 mod scenes;
 mod self_calibration;
 mod single_view;
+mod site_gloss;
 mod site_motion;
 mod sites;
 mod solver;
@@ -57,7 +58,7 @@ mod tint;
 mod vertex_system;
 mod view;
 
-pub use albedo::{AlbedoMode, AlbedoParams};
+pub use albedo::{AlbedoMode, AlbedoParams, Material};
 pub use alignment::AlignmentParams;
 pub use crop::{Crop, ObjectParams};
 pub use energy::{GroupTerms, NormalMatrix};
@@ -77,7 +78,6 @@ pub use solver::{Iteration, RefineStatus, Step};
 pub use view::{HIDING_CELL_M, ImageTrust};
 
 use crate::geometry::TriMesh;
-use crate::shading::Gloss;
 use depth_camera::Image;
 use error::MAX_BELIEVABLE_RMSE;
 use held_out::{every, views_to_hold_out};
@@ -114,8 +114,8 @@ pub struct Refinement {
     pub mesh: TriMesh,
     /// Albedo of each vertex, times the light's strength, m².
     pub albedo: Vec<f64>,
-    /// Albedo of each group and the share of the sites in it, in the order of the labels.
-    pub albedo_groups: Vec<(f64, f64)>,
+    /// The groups of one albedo, in the order of the labels.
+    pub materials: Vec<Material>,
     /// Group of each vertex.
     pub labels: Vec<u8>,
     /// What the images say of each vertex.
@@ -140,8 +140,6 @@ pub struct Refinement {
     pub masks: Vec<Image<u8>>,
     /// What the images say against the calibration; then the surface was refined by what they say.
     pub contradiction: Option<Contradiction>,
-    /// How glossy the images show the surface to be.
-    pub gloss: Gloss,
 }
 
 /// Refines the surface of an object.
@@ -183,7 +181,7 @@ pub fn refine(
         status = prepared.run(last, all, &mut state, &mut accepted);
     }
     let finest = prepared.finest();
-    let sites = finest.sites(&state.surface.mesh, &state.views, all);
+    let sites = finest.sites(&state.surface.mesh, &state.views, all, &state.albedo);
     let errors = sites.view_errors(&state.views, &state.albedo.by_site);
     let views = view_fits(&state.views, prepared.centre(), &errors_before, &errors);
     let rmse = over_all(&views, |view| view.rmse_after);
@@ -198,7 +196,7 @@ pub fn refine(
         evidence: evidence.ok_or(RefineError::OutOfMemory)?,
         labels: albedo.labels_by_vertex(params.sites, &surface.mesh),
         albedo: albedo.by_vertex(params.sites, &surface.mesh),
-        albedo_groups: albedo.groups.iter().copied().zip(albedo.shares()).collect(),
+        materials: albedo.materials(),
         albedo_spread: albedo.spread,
         edge_length_m: prepared.edge_length_m(),
         status,
@@ -209,7 +207,6 @@ pub fn refine(
         judgement,
         masks: state.views.iter().map(View::mask).collect(),
         contradiction: prepared.told().contradiction.clone(),
-        gloss: prepared.told().gloss,
         mesh: state.surface.mesh,
     })
 }

@@ -4,7 +4,7 @@
 //! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way. How much of a pixel a site covers is held.
 
 use super::energy::Surface;
-use super::gaze::{AsItIs, Gaze, Lanes3, Weighed, set_lane};
+use super::gaze::{AsItIs, Gaze, Lanes3, Surfels, Weighed, set_lane};
 use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
@@ -261,14 +261,13 @@ fn observe(
         rendered,
     } = looked_at;
     let image = rendered.and_then(|rendered| rendered.image(view));
-    let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    let mut surfels = Surfels::new(sites.gloss.is_matte());
     let mut along = motion.map(|_| [[0.0; LANES]; 3]);
     let mut albedo = [0.0; LANES];
     loop {
         let (mut to, mut n) = ([(0, 0.0); LANES], 0);
         for (site, slot) in slots.by_ref().take(LANES) {
-            set_lane(&mut points, n, &sites.points[site].coords);
-            set_lane(&mut normals, n, &sites.normals[site]);
+            sites.write(site, &mut surfels, n);
             if let (Some(along), Some(motion)) = (&mut along, motion) {
                 set_lane(along, n, motion.along(site));
             }
@@ -285,7 +284,7 @@ fn observe(
             image,
             albedo: &albedo,
         });
-        let weighed = gaze.weighed(&points, &normals, along.as_ref(), as_it_is);
+        let weighed = gaze.weighed(&surfels, along.as_ref(), as_it_is);
         for (lane, &(slot, area_m2)) in to[..n].iter().enumerate() {
             entries[slot] = Observation::of_lane(&weighed, lane, area_m2);
         }

@@ -8,12 +8,14 @@ use super::level::{Level, levels};
 use super::optics::Optics;
 use super::params::RefineParams;
 use super::rounds::{Rounds, State, centre_of, radius_about};
-use super::self_calibration::{Contradiction, Told, Tolerance, told_by_images};
+use super::self_calibration::{Contradiction, Told, Tolerance, gloss_of_materials, told_by_images};
+use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
 use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
 use crate::interreflection::WhiteLevel;
+use crate::shading::Gloss;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -41,6 +43,8 @@ pub struct Preparation {
     params: RefineParams,
     /// The coarsest first.
     levels: Vec<Level>,
+    /// The one that tells of response, light and gloss.
+    asked: usize,
     centre: Point3<f64>,
     views: Vec<View>,
     /// Of the coarsest level's base surface, and all views that see them.
@@ -75,12 +79,13 @@ impl Preparation {
         let (levels, mut views) =
             rayon::join(|| levels(object, &params), || views_of(subject, &params));
         let levels = levels?;
-        let mesh = &levels[0].mesh;
-        let asked = levels
+        let mut fine = levels
             .iter()
-            .find(|level| level.edge_length_m <= ASKED_EDGE_M);
-        let asked = asked.or(levels.last()).map_or(mesh, |level| &level.mesh);
-        let told = ask(asked, &views, optics, &params, Tolerance::FINISHED);
+            .map(|level| level.edge_length_m <= ASKED_EDGE_M);
+        let asked = fine.position(|is_fine| is_fine);
+        let asked = asked.unwrap_or(levels.len() - 1);
+        let mesh = &levels[asked].mesh;
+        let told = ask(mesh, &views, optics, &params, Tolerance::FINISHED);
         if let Some(Contradiction { calibration, .. }) = &told.contradiction {
             // Both sets of views are large.
             views.clear();
@@ -90,11 +95,13 @@ impl Preparation {
             };
             views = views_of(&relit, &params);
         }
-        let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()));
-        views.iter_mut().for_each(|view| view.gloss = told.gloss);
+        let mesh = &levels[0].mesh;
+        let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()))
+            .with_gloss(SiteGloss::uniform(told.gloss));
         Ok(Preparation {
             params,
             levels,
+            asked,
             centre,
             views,
             base_sites,
@@ -148,12 +155,38 @@ impl Preparation {
             total_m: vec![0.0; mesh.vertices.len()],
             mesh: mesh.clone(),
         };
-        let state = State {
+        let mut state = State {
             surface,
             views: views.clone(),
             albedo,
         };
+        let gloss = self.gloss_of_materials(&state, subject.optics, learning);
+        state.albedo.gloss = gloss.unwrap_or(vec![self.told.gloss; state.albedo.groups.len()]);
         Ok((state, errors))
+    }
+
+    /// What a set of views says of the gloss of each material of the base surface; `None` where that is no more than they said of
+    /// all of it.
+    fn gloss_of_materials(
+        &self,
+        base: &State,
+        optics: &Optics,
+        learning: ViewSet,
+    ) -> Option<Vec<Gloss>> {
+        let params = &self.params.self_calibration;
+        let n_materials = base.albedo.groups.len();
+        if !params.enabled || n_materials < 2 {
+            return None;
+        }
+        let mut asked = base.clone();
+        self.prolong(&mut asked, 0, self.asked);
+        let mesh = &self.levels[self.asked].mesh;
+        let labels = asked.albedo.labels_by_face(self.params.sites, mesh);
+        let sites = Sites::new(SiteKind::Face, mesh, &self.views, learning);
+        let relit = self.told.contradiction.as_ref();
+        let relit = relit.map(|contradiction| optics.with(&contradiction.calibration));
+        let optics = relit.as_ref().unwrap_or(optics);
+        gloss_of_materials(&sites, &self.views, optics, params, (&labels, n_materials))
     }
 
     /// Refines from a set of views, the last round among it, and lets another judge.
@@ -193,8 +226,11 @@ impl Preparation {
             level = self.level_of(round);
             let rounds = self.rounds(level);
             let sites = match round {
-                0 => self.base_sites.only(learning),
-                _ => rounds.sites(&state.surface.mesh, &state.views, learning),
+                0 => {
+                    let sites = self.base_sites.only(learning);
+                    sites.with_gloss(state.albedo.site_gloss())
+                }
+                _ => rounds.sites(&state.surface.mesh, &state.views, learning, &state.albedo),
             };
             status = rounds.round(round, learning, &sites, state, accepted);
             if status.is_final() {

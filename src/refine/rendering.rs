@@ -4,7 +4,7 @@
 //! the prediction is not. Here every pixel is the mean of the facets that the view sees in it. Facets are cut into equal parts,
 //! each of which counts for the pixel that its middle falls on, which needs no search for what is nearest.
 
-use super::gaze::{Gaze, set_lane};
+use super::gaze::{Gaze, Surfels};
 use super::sites::Sites;
 use super::view::View;
 use crate::geometry::TriMesh;
@@ -67,12 +67,11 @@ pub fn render(
     let mut sums = Image::filled(width, height, Sum::default());
     let mut intensities = vec![f64::NAN; sites.points.len()];
     for seen in sites.of_view(index).chunks(LANES) {
-        let (mut points, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let mut surfels = Surfels::new(sites.gloss.is_matte());
         for (lane, &site) in seen.iter().enumerate() {
-            set_lane(&mut points, lane, &sites.points[site as usize].coords);
-            set_lane(&mut normals, lane, &sites.normals[site as usize]);
+            sites.write(site as usize, &mut surfels, lane);
         }
-        let unit = gaze.predictions(&points, &normals);
+        let unit = gaze.predictions(&surfels);
         for (&site, unit) in seen.iter().zip(unit) {
             intensities[site as usize] = albedo[site as usize] * f64::from(unit);
         }

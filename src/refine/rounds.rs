@@ -153,9 +153,10 @@ impl Rounds<'_> {
 
     /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held. Returns the
     /// surface's sites with those that the view alone sees.
-    pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &[f64]) -> Sites {
+    pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &Albedo) -> Sites {
         let alone = std::slice::from_ref(view);
-        let sites = self.sites(mesh, alone, 1);
+        let sites = self.sites(mesh, alone, 1, albedo);
+        let albedo = &albedo.by_site;
         let (chosen, stands_for) = sites_to_align_by(sites.of_view(0));
         let centre = centre_of(mesh);
         for cutoff in CUTOFFS {
@@ -203,9 +204,9 @@ impl Rounds<'_> {
 }
 
 impl<'a> Rounds<'a> {
-    /// The sites of a mesh that a set of views sees.
-    pub fn sites(&self, mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
-        Sites::new(self.params.sites, mesh, views, set)
+    /// The sites of a mesh that a set of views sees, as glossy as their materials.
+    pub fn sites(&self, mesh: &TriMesh, views: &[View], set: ViewSet, albedo: &Albedo) -> Sites {
+        Sites::new(self.params.sites, mesh, views, set).with_gloss(albedo.site_gloss())
     }
 
     /// What views show at a surface's sites, and how that changes with its displacements.

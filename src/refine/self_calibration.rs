@@ -5,7 +5,7 @@
 //! the light with the integral of the normal, and that depends on the rim alone, so that noise and detail that the fused surface
 //! gets wrong do not count. Facet by facet gamma comes out up to 6 % too high on the recorded scans, patch by patch within 1.5 %.
 //!
-//! Unknown are gamma, the light's place and lobe, how strong indirect light is, how glossy the surface, and a gain a view; each patch has its own albedo
+//! Unknown are gamma, the light's place and lobe, how strong indirect light is, how glossy each material, and a gain a view; each patch has its own albedo
 //! and tilt, which are eliminated. Residuals are of `ln I / gamma`, for it is the surface that errs and not the image.
 //!
 //! Not told: the light's place along the optical axis, which is nearly one with gamma, and the flat field, which is nearly one
@@ -18,7 +18,7 @@ use super::optics::Optics;
 use super::sites::Sites;
 use super::view::View;
 use crate::shading::{Calibration, Gloss};
-use fit::{Unknowns, fit, residual_scale};
+use fit::{Unknowns, fit, loss, residual_scale};
 use lit_patch::LitPatch;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -134,31 +134,21 @@ pub fn told_by_images(
     tolerance: Tolerance,
 ) -> Told {
     let believed = optics.calibration;
-    let mut patches = LitPatch::all(sites, views, optics);
+    let mut patches = LitPatch::all(sites, views, optics, &[]);
     if patches.len() < MIN_PATCHES {
         return Told::default();
     }
-    let start = Unknowns {
-        inv_gamma: 1.0 / believed.gamma,
-        light: optics.light,
-        log_indirect: 0.0,
-        gloss: Gloss::default(),
-        log_gains: vec![0.0; views.len()],
-    };
-    let mut fitted = |gloss_sigma: f64| {
-        let (found, sigmas) = fit(&mut patches, &start, params, gloss_sigma)?;
-        let misfit = residual_scale(&patches, &found);
-        Some((found, sigmas, misfit))
-    };
-    let glossy = fitted(GLOSS_SIGMA).filter(|(found, sigmas, misfit)| {
-        let strength = found.gloss.strength;
-        *misfit < MAX_MISFIT && strength > MIN_GLOSS && strength > MIN_SIGMAS * sigmas[6]
-    });
-    let is_glossy = glossy.is_some();
-    // Gloss that is not there would make gamma less sure.
-    let Some((found, sigmas, misfit)) = glossy.or_else(|| fitted(MATTE_SIGMA)) else {
+    let start = start(optics, views.len(), 1);
+    let Some(fitted) = Fitted::new(&mut patches, &start, params) else {
         return Told::default();
     };
+    let gloss = fitted.believable_gloss()[0];
+    let Fitted {
+        found,
+        sigmas,
+        misfit,
+        ..
+    } = fitted;
     let gamma_change = (found.inv_gamma / start.inv_gamma).ln();
     let moved = found.light.position - start.light.position;
     let lobe_change = found.light.lobe_power - start.light.lobe_power;
@@ -178,8 +168,8 @@ pub fn told_by_images(
         light_moved_mm = 1e3 * moved.xy().norm(),
         lobe_power = calibration.light.lobe_power,
         indirect = found.log_indirect.exp(),
-        gloss = found.gloss.strength,
-        gloss_power = found.gloss.power,
+        gloss = gloss.strength,
+        gloss_power = gloss.power,
         patches = patches.len(),
         misfit,
         is_contradicted,
@@ -192,10 +182,123 @@ pub fn told_by_images(
             light_moved_m: moved.xy().norm(),
             calibration,
         }),
-        gloss: match is_glossy {
-            true => found.gloss,
-            false => Gloss::default(),
-        },
+        gloss,
+    }
+}
+
+/// How glossy the images show each of some materials to be, given with those of the facets, which are the `sites`. The views are as
+/// their `optics` have it. `None` where nothing glossy is to be told.
+pub fn gloss_of_materials(
+    sites: &Sites,
+    views: &[View],
+    optics: &Optics,
+    params: &SelfCalibrationParams,
+    (materials, n_materials): (&[u8], usize),
+) -> Option<Vec<Gloss>> {
+    let mut patches = LitPatch::all(sites, views, optics, materials);
+    if patches.len() < MIN_PATCHES {
+        return None;
+    }
+    let start = start(optics, views.len(), n_materials);
+    let fitted = Fitted::new(&mut patches, &start, params)?;
+    let gloss = fitted.believable_gloss();
+    tracing::info!(
+        strength = ?gloss.iter().map(|gloss| gloss.strength).collect::<Vec<f64>>(),
+        power = ?gloss.iter().map(|gloss| gloss.power).collect::<Vec<f64>>(),
+        "gloss of each material by the images"
+    );
+    Some(gloss).filter(|gloss| !gloss.iter().all(Gloss::is_matte))
+}
+
+/// A calibration as it is believed, with so many views and matte materials.
+fn start(optics: &Optics, n_views: usize, n_materials: usize) -> Unknowns {
+    Unknowns {
+        inv_gamma: 1.0 / optics.calibration.gamma,
+        light: optics.light,
+        log_indirect: 0.0,
+        gloss: vec![Gloss::default(); n_materials],
+        log_gains: vec![0.0; n_views],
+    }
+}
+
+/// What fits the patches, with gloss for those materials alone that show it.
+struct Fitted {
+    found: Unknowns,
+    /// Standard deviations.
+    sigmas: Vec<f64>,
+    /// How much patches disagree, in standard deviations.
+    misfit: f64,
+    /// Of each material.
+    is_glossy: Vec<bool>,
+}
+
+/// Exponents of gloss from which it is looked for. A lobe that is too narrow for what is there is taken for none.
+const FIRST_POWERS: [f64; 3] = [30.0, 10.0, 100.0];
+
+impl Fitted {
+    fn new(
+        patches: &mut [LitPatch],
+        start: &Unknowns,
+        params: &SelfCalibrationParams,
+    ) -> Option<Fitted> {
+        let start = &Self::best_start(patches, start, params);
+        let mut is_glossy = vec![true; start.gloss.len()];
+        loop {
+            let sigma = |&is_glossy: &bool| if is_glossy { GLOSS_SIGMA } else { MATTE_SIGMA };
+            let gloss_sigmas: Vec<f64> = is_glossy.iter().map(sigma).collect();
+            let fitted = fit(patches, start, params, &gloss_sigmas);
+            let Some((found, sigmas)) = fitted else {
+                if is_glossy.contains(&true) {
+                    is_glossy.fill(false);
+                    continue;
+                }
+                return None;
+            };
+            let misfit = residual_scale(patches, &found);
+            let stays = |(material, &is_glossy): (usize, &bool)| {
+                let strength = found.gloss[material].strength;
+                let sigma = sigmas[Unknowns::at_gloss(material)];
+                is_glossy
+                    && misfit < MAX_MISFIT
+                    && strength > MIN_GLOSS
+                    && strength > MIN_SIGMAS * sigma
+            };
+            let stay: Vec<bool> = is_glossy.iter().enumerate().map(stays).collect();
+            if stay == is_glossy {
+                return Some(Fitted {
+                    found,
+                    sigmas,
+                    misfit,
+                    is_glossy,
+                });
+            }
+            // Gloss that is not there would make gamma less sure.
+            is_glossy = stay;
+        }
+    }
+
+    /// The start with that exponent of gloss from which patches are fitted best.
+    fn best_start(
+        patches: &mut [LitPatch],
+        start: &Unknowns,
+        params: &SelfCalibrationParams,
+    ) -> Unknowns {
+        let sigmas = vec![GLOSS_SIGMA; start.gloss.len()];
+        let fits = FIRST_POWERS.into_iter().filter_map(|power| {
+            let mut start = start.clone();
+            start.gloss.iter_mut().for_each(|gloss| gloss.power = power);
+            let (found, _) = fit(patches, &start, params, &sigmas)?;
+            Some((loss(patches, &found), start))
+        });
+        let best = fits.min_by(|(a, _), (b, _)| a.total_cmp(b));
+        best.map_or_else(|| start.clone(), |(_, start)| start)
+    }
+
+    /// The gloss of each material.
+    fn believable_gloss(&self) -> Vec<Gloss> {
+        let gloss = self.found.gloss.iter().zip(&self.is_glossy);
+        let believable = |(&gloss, &is_glossy)| if is_glossy { gloss } else { Gloss::default() };
+        gloss.map(believable).collect()
     }
 }
 

@@ -1,8 +1,9 @@
 //! Where the surface is compared with the images: one site a facet, at its centroid, or one a vertex.
 
 use super::energy::unit_normal;
-use super::gaze::{Gaze, set_lane};
-use super::view::View;
+use super::gaze::{Gaze, Surfels, set_lane};
+use super::site_gloss::SiteGloss;
+use super::view::{Look, Sample, View};
 use crate::geometry::TriMesh;
 use crate::geometry::lanes::LANES;
 use nalgebra::{Point3, Vector3};
@@ -32,6 +33,8 @@ pub struct Sites {
     pub areas_m2: Vec<f64>,
     /// Bit k of a site is set where view k sees it.
     pub visible: Vec<ViewSet>,
+    /// How glossy each is.
+    pub gloss: SiteGloss,
 }
 
 /// How well a view's image is predicted.
@@ -101,6 +104,7 @@ impl Sites {
             normals,
             areas_m2,
             visible: vec![0; n_faces],
+            gloss: SiteGloss::default(),
         }
     }
 
@@ -121,6 +125,7 @@ impl Sites {
             normals,
             areas_m2,
             visible: vec![0; n_vertices],
+            gloss: SiteGloss::default(),
         }
     }
 
@@ -132,7 +137,28 @@ impl Sites {
             normals: self.normals.clone(),
             areas_m2: self.areas_m2.clone(),
             visible: self.visible.iter().map(|visible| visible & set).collect(),
+            gloss: self.gloss.clone(),
         }
+    }
+
+    /// The same sites with some gloss.
+    pub fn with_gloss(self, gloss: SiteGloss) -> Sites {
+        Sites { gloss, ..self }
+    }
+
+    /// Makes a site a lane of pieces of surface, which are [matte](SiteGloss::is_matte) as all of these are.
+    #[inline]
+    pub fn write(&self, site: usize, surfels: &mut Surfels, lane: usize) {
+        set_lane(&mut surfels.points, lane, &self.points[site].coords);
+        set_lane(&mut surfels.normals, lane, &self.normals[site]);
+        if let Some(gloss) = &mut surfels.gloss {
+            gloss[lane] = self.gloss.of(site);
+        }
+    }
+
+    /// What a site looks like in a view, by what the view shows there, as of [`View::sample`].
+    pub fn sample(&self, site: usize, view: &View, look: &Look) -> Option<Sample> {
+        view.sample(look, &self.normals[site], &self.gloss.of(site))
     }
 
     /// The sites that a view sees.
@@ -161,7 +187,7 @@ impl Sites {
                 let points = seen.iter().map(|&site| &self.points[site as usize]);
                 Gaze::new(view).each(points, |index, look| {
                     let site = seen[index] as usize;
-                    if let Some(sample) = view.sample(look, &self.normals[site]) {
+                    if let Some(sample) = self.sample(site, view, look) {
                         let error = look.observed - albedo[site] * sample.unit_prediction;
                         square += error * error;
                         sum += look.observed;

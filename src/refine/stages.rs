@@ -45,7 +45,7 @@ impl Stages {
         prepared.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();
         let rounds = prepared.finest();
-        let sites = rounds.sites(&state.surface.mesh, &state.views, learning);
+        let sites = rounds.sites(&state.surface.mesh, &state.views, learning, &state.albedo);
         let observations = rounds.observe(&sites, &state.surface, &state.views, None);
         let scale = observations.residual_scale(&sites, &state.albedo.by_site);
         Ok(Stages {
@@ -65,9 +65,13 @@ impl Stages {
 
     /// Finds out which view sees which site; returns the number of such pairs.
     pub fn hide(&self) -> usize {
-        let State { surface, views, .. } = &self.state;
+        let State {
+            surface,
+            views,
+            albedo,
+        } = &self.state;
         let rounds = self.prepared.finest();
-        let sites = rounds.sites(&surface.mesh, views, self.learning);
+        let sites = rounds.sites(&surface.mesh, views, self.learning, albedo);
         let pairs = sites
             .visible
             .iter()

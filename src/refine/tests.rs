@@ -232,7 +232,7 @@ fn refinement_finds_ripples_that_the_base_lacks() {
         after < 0.4 * before,
         "mean normal error from {before} to {after} rad"
     );
-    assert_eq!(refined.albedo_groups.len(), 1);
+    assert_eq!(refined.materials.len(), 1);
     let held_out = refined.judgement.overall;
     assert_eq!(refined.judgement.views.len(), 2);
     assert!(held_out.refined.intensity < 0.5 * held_out.base.intensity);
@@ -312,9 +312,9 @@ fn dark_spots_are_no_other_material() {
     };
     let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| true).expect("visible");
     let ratios: Vec<f64> = refined
-        .albedo_groups
+        .materials
         .iter()
-        .map(|(albedo, _)| albedo / ALBEDO)
+        .map(|material| material.albedo / ALBEDO)
         .collect();
     assert_eq!(ratios.len(), 2, "{ratios:?}");
     let vertices = refined.mesh.vertices.iter().zip(&refined.labels);

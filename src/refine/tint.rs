@@ -91,6 +91,7 @@ fn patches(sites: &Sites, labels: &[u8], groups: &[f64], ratios: &[Ratio]) -> Ve
 
 #[cfg(test)]
 mod tests {
+    use super::super::site_gloss::SiteGloss;
     use super::super::sites::SiteKind;
     use super::*;
 
@@ -106,6 +107,7 @@ mod tests {
             normals: vec![-Vector3::z(); n],
             areas_m2: vec![1e-6; n],
             visible: vec![(1 << n_views) - 1; n],
+            gloss: SiteGloss::default(),
             points,
         };
         (sites, labels)

@@ -66,8 +66,6 @@ pub struct View {
     indirect: Arc<IndirectLight>,
     /// The white level if the brightest surfaces of this view are plaster.
     pub plausible_white: Option<WhiteLevel>,
-    /// Gloss of the surface.
-    pub gloss: Gloss,
     /// What scales the indirect light; `None` for none.
     pub white: Option<WhiteLevel>,
     linear: Arc<LinearImage>,
@@ -129,10 +127,12 @@ impl Look {
 pub struct Sample {
     /// What the view shows there.
     pub look: Look,
-    /// As of [`View::unit_prediction`].
+    /// `gain · field · (n·E + highlight)`, with E as of [`Look::arriving`]: the prediction for unit albedo.
     pub unit_prediction: f64,
     /// The normal in the camera frame.
     pub normal_camera: Vector3<f64>,
+    /// What gloss adds.
+    pub highlight: Highlight,
 }
 
 impl Sample {
@@ -188,7 +188,6 @@ impl View {
             indirect: Arc::new(IndirectLight::new(&lit, &model_depth_m, optics.rays)),
             plausible_white: lit.plausible_white(),
             white: None,
-            gloss: Gloss::default(),
             linear: Arc::new(linear),
             camera_depth_m: Arc::new(camera_depth_m),
             light_lens: Lens::new(&light_model),
@@ -212,38 +211,22 @@ impl View {
         Some((jacobian.row(0) * du + jacobian.row(1) * dv).transpose())
     }
 
-    /// `gain · field · (n·E + highlight)` at a place, with E as of [`Look::arriving`]: the prediction for unit albedo. `None` where it is not lit.
-    fn unit_prediction(&self, look: &Look, normal_camera: &Vector3<f64>) -> Option<f64> {
-        let matte = normal_camera.dot(&look.arriving());
-        let irradiance = matte + self.highlight(look, normal_camera).value;
-        (irradiance > 0.0).then_some(look.gain * irradiance)
-    }
-
     /// What a site looks like in this view, by what the view shows there; `None` where its pixel is unusable or it faces away from the light.
-    pub fn sample(&self, look: &Look, normal_world: &Vector3<f64>) -> Option<Sample> {
+    pub fn sample(
+        &self,
+        look: &Look,
+        normal_world: &Vector3<f64>,
+        gloss: &Gloss,
+    ) -> Option<Sample> {
         let normal_camera = self.camera_from_world * normal_world;
-        let unit_prediction = self.unit_prediction(look, &normal_camera)?;
-        (!look.observed.is_nan()).then_some(Sample {
+        let highlight = gloss.highlight(&look.point_camera, &normal_camera, &look.direct);
+        let irradiance = normal_camera.dot(&look.arriving()) + highlight.value;
+        (irradiance > 0.0 && !look.observed.is_nan()).then_some(Sample {
             look: *look,
-            unit_prediction,
+            unit_prediction: look.gain * irradiance,
             normal_camera,
+            highlight,
         })
-    }
-
-    /// Whether gloss adds anything.
-    pub fn is_glossy(&self) -> bool {
-        self.gloss.strength > 0.0
-    }
-
-    /// What gloss adds at a place.
-    #[inline]
-    pub fn highlight(&self, look: &Look, normal_camera: &Vector3<f64>) -> Highlight {
-        match self.is_glossy() {
-            true => self
-                .gloss
-                .highlight(&look.point_camera, normal_camera, &look.direct),
-            false => Highlight::default(),
-        }
     }
 
     /// The camera.

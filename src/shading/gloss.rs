@@ -32,6 +32,11 @@ pub struct Highlight {
 }
 
 impl Gloss {
+    /// Whether it adds nothing.
+    pub fn is_matte(&self) -> bool {
+        self.strength == 0.0
+    }
+
     /// The highlight at a point (m, camera frame) with a normal of any length, where `direct` arrives from the light as of
     /// [`NearLight::incident`](super::NearLight::incident).
     #[inline]
@@ -41,6 +46,9 @@ impl Gloss {
         normal: &Vector3<f64>,
         direct: &Vector3<f64>,
     ) -> Highlight {
+        if self.is_matte() {
+            return Highlight::default();
+        }
         let brightness = direct.norm();
         let between = direct / brightness - point.coords / point.coords.norm();
         let half = between / between.norm();

@@ -2,12 +2,13 @@
 """Writes a simulated session as it would have been recorded in a lit room, or of a glossy surface.
 
     other_surroundings.py SESSION OUT [--ambient SHARE] [--sun SHARE] [--unlit N] [--gloss STRENGTH] [--shininess POWER]
+                             [--glossy LEAST MOST]
 
 To the linearised infrared images is added what such surroundings add to Eq. (1), from the true surface and poses:
 - ambient light from everywhere (SHARE of the lamp's median irradiance), and some that comes from one side of the room;
 - with --unlit N, as many images before those of each shading pose of a Kinect I, while the projector is covered and the lamp is
   not lit yet;
-- a Blinn-Phong lobe, rho · STRENGTH · (n·h)^POWER, under the lamp.
+- a Blinn-Phong lobe, rho · STRENGTH · (n·h)^POWER, under the lamp; with --glossy only of the materials of so much true albedo.
 Shadows of either are left out. Needs numpy, pillow and open3d; reads the session's truth, so it is for simulation alone."""
 import argparse
 import shutil
@@ -67,6 +68,7 @@ def main():
     parser.add_argument("--unlit", type=int, default=0)
     parser.add_argument("--gloss", type=float, default=0.0)
     parser.add_argument("--shininess", type=float, default=30.0)
+    parser.add_argument("--glossy", type=float, nargs=2, default=(0.0, np.inf), metavar=("LEAST", "MOST"))
     args = parser.parse_args()
 
     session = tomllib.loads((args.session / "session.toml").read_text())
@@ -108,7 +110,9 @@ def main():
         half = unit(to_light - unit(directions))
         lobe = np.maximum((normal * half).sum(-1), 0) ** args.shininess / squared * (direct > 0)
         ambient = np.where(hit, gain * albedo * typical * (args.ambient + args.sun * from_sun), 0)
-        glossy = np.where(hit, gain * albedo * args.gloss * lobe, 0)
+        least, most = args.glossy
+        is_glossy = hit & (albedo >= least) & (albedo <= most)
+        glossy = np.where(is_glossy, gain * albedo * args.gloss * lobe, 0)
         save(args.out / name, linear + ambient + glossy, gamma, full_scale)
         if float(time) - last_lit > 0.2:
             # The first exposure of a pose, whose depth is as empty as that of those before it.

@@ -19,6 +19,20 @@ fn points() -> (Lanes3, Lanes3) {
     (points, normals)
 }
 
+/// The same, some of it glossy.
+fn surfels() -> Surfels {
+    let (points, normals) = points();
+    let gloss = |lane: usize| Gloss {
+        strength: 0.1 * (lane % 3) as f64,
+        power: 20.0,
+    };
+    Surfels {
+        points,
+        normals,
+        gloss: Some(std::array::from_fn(gloss)),
+    }
+}
+
 fn view_of(pose: Pose) -> View {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
@@ -61,7 +75,7 @@ fn slopes_are_what_points_show_that_have_moved() {
     let view = view_of(poses(0.4)[1]);
     let gaze = Gaze::new(&view);
     let (points, normals) = points();
-    let slopes = gaze.weighed(&points, &normals, Some(&normals), None).slopes;
+    let slopes = gaze.weighed(&surfels(), Some(&normals), None).slopes;
     let moved = |by_m: f32| {
         let axes = points.iter().zip(&normals);
         let axes = axes.map(|(p, n)| std::array::from_fn(|lane| p[lane] + by_m * n[lane]));
@@ -130,7 +144,7 @@ fn every_instruction_set_gives_the_same_bits() {
             arch,
             ..Gaze::new(&view)
         };
-        let weighed = gaze.weighed(&points, &normals, Some(&normals), None);
+        let weighed = gaze.weighed(&surfels(), Some(&normals), None);
         let Slopes { image, light } = weighed.slopes;
         let mut lanes = vec![weighed.observed, weighed.pixels_per_m2, image, light];
         lanes.extend(weighed.light);

@@ -17,12 +17,17 @@ const GAIN_SIGMA: f64 = 0.015;
 /// Standard deviation of the logarithm of gloss's exponent, and the exponents that are believed.
 const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
 const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
-/// Unknowns that all views share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light, strength
-/// of gloss and the logarithm of its exponent.
-const N_SHARED: usize = 8;
+/// Unknowns that all patches share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light.
+const N_LIT: usize = 6;
+/// Those of each material: strength of gloss and the logarithm of its exponent.
+const N_OF_GLOSS: usize = 2;
+/// What a reading depends on beside its patch and the gain of its view.
+const N_SHARED: usize = N_LIT + N_OF_GLOSS;
 /// Gauss-Newton steps at most, and the change of 1/gamma that ends them.
 const MAX_STEPS: usize = 12;
 const SETTLED: f64 = 1e-4;
+/// Cut-off of the loss in scales.
+const CUTOFF: f64 = 4.685;
 /// Patches that are summed one after the other, whatever the threads.
 const TILE: usize = 128;
 
@@ -35,8 +40,8 @@ pub struct Unknowns {
     pub light: NearLight,
     /// Logarithm of the factor on indirect light.
     pub log_indirect: f64,
-    /// Of the whole surface.
-    pub gloss: Gloss,
+    /// Of each material.
+    pub gloss: Vec<Gloss>,
     /// Logarithm of the gain of each view.
     pub log_gains: Vec<f64>,
 }
@@ -49,19 +54,40 @@ struct Row {
     by_own: Vector3<f64>,
 }
 
+/// A residual's derivative by the logarithm of its view's gain.
+const BY_GAIN: f64 = -1.0;
+
 impl Unknowns {
-    /// The residual of a reading of a patch; `None` where it faces away from the light.
-    fn row(&self, reading: &Reading, own: &Vector3<f64>) -> Option<Row> {
+    /// Where a material's gloss stands among the unknowns, its strength first; the gains stand after the last.
+    pub fn at_gloss(material: usize) -> usize {
+        N_LIT + N_OF_GLOSS * material
+    }
+
+    /// Which unknowns a reading of a patch of a material depends on: those of a [`Row`], then the gain.
+    fn touched(&self, material: usize, view: usize) -> [usize; N_SHARED + 1] {
+        let mut touched = [0; N_SHARED + 1];
+        for (k, unknown) in touched.iter_mut().enumerate() {
+            *unknown = match k {
+                0..N_LIT => k,
+                N_LIT..N_SHARED => Self::at_gloss(material) + k - N_LIT,
+                _ => Self::at_gloss(self.gloss.len()) + view,
+            };
+        }
+        touched
+    }
+
+    /// The residual of a reading of a patch of a material; `None` where it faces away from the light.
+    fn row(&self, reading: &Reading, material: usize, own: &Vector3<f64>) -> Option<Row> {
         let [first, second] = &reading.tilts;
         let normal = reading.normal + first * own[1] + second * own[2];
         let indirect = reading.indirect * self.log_indirect.exp();
         let direct = self.light.incident(&reading.point);
         let arriving = direct + indirect;
         // Of strength 1, which is also the derivative by the strength.
-        let strength = self.gloss.strength;
+        let Gloss { strength, power } = self.gloss[material];
         let gloss = Gloss {
             strength: 1.0,
-            ..self.gloss
+            power,
         };
         let highlight = gloss.highlight(&reading.point, &normal, &direct);
         let cosine_to_power = (highlight.value / direct.norm()).max(f64::MIN_POSITIVE);
@@ -109,10 +135,14 @@ impl Unknowns {
         }
         next.light.lobe_power = (next.light.lobe_power + step[4]).max(0.0);
         next.log_indirect += step[5];
-        next.gloss.strength = (next.gloss.strength + step[6]).max(0.0);
         let (least, most) = GLOSS_POWERS;
-        next.gloss.power = (next.gloss.power * step[7].exp()).clamp(least, most);
-        for (gain, part) in next.log_gains.iter_mut().zip(step.iter().skip(N_SHARED)) {
+        for (material, gloss) in next.gloss.iter_mut().enumerate() {
+            let at = Self::at_gloss(material);
+            gloss.strength = (gloss.strength + step[at]).max(0.0);
+            gloss.power = (gloss.power * step[at + 1].exp()).clamp(least, most);
+        }
+        let gains = step.iter().skip(Self::at_gloss(self.gloss.len()));
+        for (gain, part) in next.log_gains.iter_mut().zip(gains) {
             *gain += part;
         }
         next
@@ -132,7 +162,7 @@ impl Unknowns {
         &self,
         start: &Unknowns,
         params: &SelfCalibrationParams,
-        gloss_sigma: f64,
+        gloss_sigmas: &[f64],
     ) -> Vec<(f64, f64)> {
         let moved = self.light.position - start.light.position;
         let shared = [
@@ -148,14 +178,14 @@ impl Unknowns {
                 params.lobe_sigma,
             ),
             (self.log_indirect, INDIRECT_SIGMA),
-            (self.gloss.strength, gloss_sigma),
-            (
-                (self.gloss.power / start.gloss.power).ln(),
-                GLOSS_LOG_POWER_SIGMA,
-            ),
         ];
+        let gloss = self.gloss.iter().zip(&start.gloss).zip(gloss_sigmas);
+        let gloss = gloss.flat_map(|((gloss, start), &sigma)| {
+            let log_power = (gloss.power / start.power).ln();
+            [(gloss.strength, sigma), (log_power, GLOSS_LOG_POWER_SIGMA)]
+        });
         let gains = self.log_gains.iter().map(|gain| (*gain, GAIN_SIGMA));
-        let all = shared.into_iter().chain(gains);
+        let all = shared.into_iter().chain(gloss).chain(gains);
         all.map(|(distance, sigma)| (distance, 1.0 / (sigma * sigma)))
             .collect()
     }
@@ -191,17 +221,18 @@ impl Normal {
         let mut gradient = Vector3::new(0.0, patch.own[1], patch.own[2]) * tilt_weight;
         let mut coupling = DMatrix::zeros(3, self.jtr.len());
         for reading in &patch.readings {
-            let Some(row) = unknowns.row(reading, &patch.own) else {
+            let Some(row) = unknowns.row(reading, patch.material, &patch.own) else {
                 continue;
             };
             let sigma = reading.sigma;
             let weight = loss.weight(row.residual / sigma) / (sigma * sigma);
             own += row.by_own * row.by_own.transpose() * weight;
             gradient += row.by_own * (row.residual * weight);
-            // The shared unknowns, and the view's gain.
-            let mut touched = [(N_SHARED + reading.view, -1.0); N_SHARED + 1];
-            for (entry, shared) in touched.iter_mut().zip(row.by_shared.iter().enumerate()) {
-                *entry = (shared.0, *shared.1);
+            let mut touched = unknowns
+                .touched(patch.material, reading.view)
+                .map(|unknown| (unknown, BY_GAIN));
+            for ((_, derivative), &by_shared) in touched.iter_mut().zip(&row.by_shared) {
+                *derivative = by_shared;
             }
             for (i, a) in touched {
                 self.jtr[i] += patch.share * weight * a * row.residual;
@@ -224,19 +255,19 @@ impl Normal {
     }
 }
 
-/// Gauss-Newton from `start`, which is also the prior, that of gloss as stated; the shared unknowns and their standard deviations.
+/// Gauss-Newton from `start`, which is also the prior, that of each material's gloss as stated; the shared unknowns and their standard deviations.
 pub fn fit(
     patches: &mut [LitPatch],
     start: &Unknowns,
     params: &SelfCalibrationParams,
-    gloss_sigma: f64,
+    gloss_sigmas: &[f64],
 ) -> Option<(Unknowns, Vec<f64>)> {
     for patch in patches.iter_mut() {
         patch.own = Vector3::zeros();
         let rows = patch
             .readings
             .iter()
-            .filter_map(|reading| start.row(reading, &patch.own));
+            .filter_map(|reading| start.row(reading, patch.material, &patch.own));
         let mut residuals: Vec<f64> = rows.map(|row| row.residual).collect();
         patch.own[0] = median(&mut residuals)?;
     }
@@ -244,9 +275,9 @@ pub fn fit(
     for _ in 0..MAX_STEPS {
         let loss = Tukey {
             scale: residual_scale(patches, &unknowns),
-            cutoff: 4.685,
+            cutoff: CUTOFF,
         };
-        let n = N_SHARED + unknowns.log_gains.len();
+        let n = Unknowns::at_gloss(unknowns.gloss.len()) + unknowns.log_gains.len();
         let tiles: Option<Vec<(Normal, Vec<Own>)>> = patches
             .par_chunks(TILE)
             .map(|tile| {
@@ -264,7 +295,7 @@ pub fn fit(
             normal.jtj += &tile.jtj;
             normal.jtr += &tile.jtr;
         }
-        let prior = unknowns.prior(start, params, gloss_sigma);
+        let prior = unknowns.prior(start, params, gloss_sigmas);
         for (k, (distance, weight)) in prior.into_iter().enumerate() {
             normal.jtj[(k, k)] += weight;
             normal.jtr[k] += weight * distance;
@@ -287,13 +318,30 @@ pub fn fit(
     is_finite.then_some((unknowns, sigmas))
 }
 
+/// Robust loss of all residuals, in squared sigmas.
+pub fn loss(patches: &[LitPatch], unknowns: &Unknowns) -> f64 {
+    let loss = Tukey {
+        scale: 1.0,
+        cutoff: CUTOFF,
+    };
+    let of_patch = |patch: &LitPatch| {
+        let readings = patch.readings.iter().filter_map(|reading| {
+            let row = unknowns.row(reading, patch.material, &patch.own)?;
+            Some(loss.loss(row.residual / reading.sigma))
+        });
+        patch.share * readings.sum::<f64>()
+    };
+    let of_patches: Vec<f64> = patches.par_iter().map(of_patch).collect();
+    of_patches.iter().sum()
+}
+
 /// Robust standard deviation of all residuals, in sigmas, at least 1.
 pub fn residual_scale(patches: &[LitPatch], unknowns: &Unknowns) -> f64 {
     let mut residuals: Vec<f64> = patches
         .par_iter()
         .flat_map_iter(|patch| {
             let rows = patch.readings.iter().filter_map(|reading| {
-                let row = unknowns.row(reading, &patch.own)?;
+                let row = unknowns.row(reading, patch.material, &patch.own)?;
                 Some(row.residual / reading.sigma)
             });
             rows.collect::<Vec<f64>>()
@@ -328,7 +376,7 @@ mod tests {
             inv_gamma: 1.2,
             light: calibration().light.near_light(&light),
             log_indirect: 0.2,
-            gloss,
+            gloss: vec![Gloss::default(), gloss],
             log_gains: vec![0.1],
         };
         let normal = Vector3::new(0.3, -0.2, -0.9);
@@ -343,9 +391,10 @@ mod tests {
             sigma: 0.02,
         };
         let own = Vector3::new(-2.0, 0.01, 0.02);
-        let row = unknowns.row(&reading, &own).expect("lit");
+        const MATERIAL: usize = 1;
+        let row = unknowns.row(&reading, MATERIAL, &own).expect("lit");
         let residual = |unknowns: &Unknowns, own: &Vector3<f64>| {
-            unknowns.row(&reading, own).expect("lit").residual
+            unknowns.row(&reading, MATERIAL, own).expect("lit").residual
         };
         const STEP: f64 = 1e-6;
         for k in 0..=N_SHARED {
@@ -357,11 +406,15 @@ mod tests {
             if is_left_out {
                 continue;
             }
-            let mut step = DVector::zeros(N_SHARED + 1);
-            step[k] = STEP;
+            let mut step = DVector::zeros(N_SHARED + N_OF_GLOSS + 1);
+            step[unknowns.touched(MATERIAL, reading.view)[k]] = STEP;
             let difference =
                 residual(&unknowns.moved(&step), &own) - residual(&unknowns.moved(&-step), &own);
-            let expected = if k < N_SHARED { row.by_shared[k] } else { -1.0 };
+            let expected = if k < N_SHARED {
+                row.by_shared[k]
+            } else {
+                BY_GAIN
+            };
             assert!((difference / (2.0 * STEP) - expected).abs() < 1e-6, "{k}");
         }
         for k in 0..3 {

@@ -49,11 +49,13 @@ pub struct LitPatch {
     pub share: f64,
     /// Logarithm of its albedo, and its tilts.
     pub own: Vector3<f64>,
+    /// That of most of its facets.
+    pub material: usize,
 }
 
 impl LitPatch {
-    /// Cuts what the views see of a surface into patches.
-    pub fn all(sites: &Sites, views: &[View], optics: &Optics) -> Vec<LitPatch> {
+    /// Cuts what the views see of a surface into patches. `materials` are those of the facets; without any all are of the first.
+    pub fn all(sites: &Sites, views: &[View], optics: &Optics, materials: &[u8]) -> Vec<LitPatch> {
         let facet_m2 = sites.areas_m2.iter().sum::<f64>() / sites.points.len().max(1) as f64;
         let side_m = (FACETS * facet_m2).sqrt().max(PATCH_M);
         let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
@@ -64,7 +66,11 @@ impl LitPatch {
             }
         }
         let cells: Vec<Vec<u32>> = cells.into_values().collect();
-        let patch = |faces: &Vec<u32>| LitPatch::new(faces, sites, views, optics);
+        let patch = |faces: &Vec<u32>| {
+            let patch = LitPatch::new(faces, sites, views, optics)?;
+            let material = commonest(faces, materials);
+            Some(LitPatch { material, ..patch })
+        };
         cells.par_iter().filter_map(patch).collect()
     }
 
@@ -97,8 +103,20 @@ impl LitPatch {
             readings,
             share: (area_m2 / (CORRELATION_M * CORRELATION_M)).min(1.0),
             own: Vector3::zeros(),
+            material: 0,
         })
     }
+}
+
+/// The material of most of some facets, the first of several; the first where there are none.
+fn commonest(faces: &[u32], materials: &[u8]) -> usize {
+    let of_faces = faces
+        .iter()
+        .filter_map(|&face| materials.get(face as usize));
+    let mut counts = [0u32; 1 + u8::MAX as usize];
+    of_faces.for_each(|&material| counts[material as usize] += 1);
+    let first_of_most = (0..counts.len()).rev().max_by_key(|&k| counts[k]);
+    first_of_most.unwrap_or(0)
 }
 
 /// Integrates what a view shows of facets (centroid, normal, area), world frame.
