@@ -5,8 +5,8 @@
 //! albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed normals.
 //!
 //! Light that arrives over other surfaces is predicted beside the lamp's. A calibration that the images contradict is replaced by what they
-//! say, and gloss is predicted where they show it ([`Gloss`]). Not handled: a gloss for each material; narrow highlights are left to the robust
-//! loss.
+//! say, and the gloss of each material is predicted where they show it ([`Gloss`](crate::shading::Gloss)). Narrow highlights are left to
+//! the robust loss.
 
 mod albedo;
 mod alignment;
