@@ -210,21 +210,22 @@ fn refine_all_round(
     refine(&subject, &params, |_| true)
 }
 
+const GLOSS: Gloss = Gloss {
+    strength: 0.5,
+    power: 20.0,
+};
+
 #[test]
 fn one_of_two_materials_is_glossy() {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let base = FLAT.mesh(0.0025);
-    let gloss = Gloss {
-        strength: 0.5,
-        power: 20.0,
-    };
     for is_glossy in [[true, false], [false, true]] {
         let snapshots = poses_all_round();
         let snapshots = snapshots.iter().map(|pose| {
             let mut snapshot = RIPPLED.snapshot(&optics, pose);
             let mut glossy = snapshot.clone();
-            RIPPLED.polish(&mut glossy, gloss, &optics);
+            RIPPLED.polish(&mut glossy, GLOSS, &optics);
             let places = rays.rays().data().iter().zip(snapshot.depth_m.data());
             let pixels = snapshot.ir_counts.data_mut().iter_mut();
             let pixels = pixels.zip(glossy.ir_counts.data()).zip(places);
@@ -246,7 +247,7 @@ fn one_of_two_materials_is_glossy() {
         for (material, is_glossy) in refined.materials.iter().zip(is_glossy) {
             let told = material.gloss;
             match is_glossy {
-                true => assert!((told.strength - gloss.strength).abs() < 0.2, "{told:?}"),
+                true => assert!((told.strength - GLOSS.strength).abs() < 0.2, "{told:?}"),
                 false => assert!(told.is_matte(), "{told:?}"),
             }
         }
@@ -258,14 +259,10 @@ fn gloss_does_not_bend_the_surface() {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let base = FLAT.mesh(0.0025);
-    let gloss = Gloss {
-        strength: 0.5,
-        power: 20.0,
-    };
     let snapshots = poses_all_round();
     let snapshots = snapshots.iter().map(|pose| {
         let mut snapshot = RIPPLED.snapshot(&optics, pose);
-        RIPPLED.polish(&mut snapshot, gloss, &optics);
+        RIPPLED.polish(&mut snapshot, GLOSS, &optics);
         snapshot
     });
     let snapshots: Vec<_> = snapshots.collect();
@@ -282,7 +279,7 @@ fn gloss_does_not_bend_the_surface() {
     };
     let glossy = refined(true).expect("gloss is told");
     let told = glossy.materials[0].gloss;
-    assert!((told.strength - gloss.strength).abs() < 0.2, "{told:?}");
+    assert!((told.strength - GLOSS.strength).abs() < 0.2, "{told:?}");
     let (error, of_base) = (normal_error(&glossy.mesh), normal_error(&base));
     assert!(error < 0.5 * of_base, "{error} of {of_base} rad");
     match refined(false) {

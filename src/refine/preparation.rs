@@ -165,8 +165,7 @@ impl Preparation {
         Ok((state, errors))
     }
 
-    /// What a set of views says of the gloss of each material of the base surface; `None` where that is no more than they said of
-    /// all of it.
+    /// What a set of views says of the gloss of each material of the base surface; `None` where they say nothing of each.
     fn gloss_of_materials(
         &self,
         base: &State,
@@ -186,7 +185,9 @@ impl Preparation {
         let relit = self.told.contradiction.as_ref();
         let relit = relit.map(|contradiction| optics.with(&contradiction.calibration));
         let optics = relit.as_ref().unwrap_or(optics);
-        gloss_of_materials(&sites, &self.views, optics, params, (&labels, n_materials))
+        let materials = (&labels[..], n_materials);
+        let shared = self.told.gloss;
+        gloss_of_materials(&sites, &self.views, optics, params, materials, shared)
     }
 
     /// Refines from a set of views, the last round among it, and lets another judge.

@@ -138,17 +138,17 @@ pub fn told_by_images(
     if patches.len() < MIN_PATCHES {
         return Told::default();
     }
-    let start = start(optics, views.len(), 1);
-    let Some(fitted) = Fitted::new(&mut patches, &start, params) else {
-        return Told::default();
-    };
-    let gloss = fitted.believable_gloss()[0];
-    let Fitted {
+    let start = start(optics, views.len(), &[Gloss::default()]);
+    let fitted = Fitted::new(&mut patches, start.clone(), params);
+    let Some(Fitted {
         found,
         sigmas,
         misfit,
-        ..
-    } = fitted;
+    }) = fitted
+    else {
+        return Told::default();
+    };
+    let gloss = found.gloss[0];
     let gamma_change = (found.inv_gamma / start.inv_gamma).ln();
     let moved = found.light.position - start.light.position;
     let lobe_change = found.light.lobe_power - start.light.lobe_power;
@@ -186,103 +186,120 @@ pub fn told_by_images(
     }
 }
 
-/// How glossy the images show each of some materials to be, given with those of the facets, which are the `sites`. The views are as
-/// their `optics` have it. `None` where nothing glossy is to be told.
+/// How glossy the images show each of some materials to be, given with those of the facets, which are the `sites`, when all of them
+/// together are as glossy as `shared`. The views are as their `optics` have it. `None` where nothing is to be told.
 pub fn gloss_of_materials(
     sites: &Sites,
     views: &[View],
     optics: &Optics,
     params: &SelfCalibrationParams,
     (materials, n_materials): (&[u8], usize),
+    shared: Gloss,
 ) -> Option<Vec<Gloss>> {
     let mut patches = LitPatch::all(sites, views, optics, materials);
     if patches.len() < MIN_PATCHES {
         return None;
     }
-    let start = start(optics, views.len(), n_materials);
-    let fitted = Fitted::new(&mut patches, &start, params)?;
-    let gloss = fitted.believable_gloss();
+    let start = start(optics, views.len(), &vec![shared; n_materials]);
+    let gloss = Fitted::new(&mut patches, start, params)?.found.gloss;
     tracing::info!(
         strength = ?gloss.iter().map(|gloss| gloss.strength).collect::<Vec<f64>>(),
         power = ?gloss.iter().map(|gloss| gloss.power).collect::<Vec<f64>>(),
         "gloss of each material by the images"
     );
-    Some(gloss).filter(|gloss| !gloss.iter().all(Gloss::is_matte))
+    Some(gloss)
 }
 
-/// A calibration as it is believed, with so many views and matte materials.
-fn start(optics: &Optics, n_views: usize, n_materials: usize) -> Unknowns {
+/// A calibration as it is believed, with so many views, and the gloss of each material.
+fn start(optics: &Optics, n_views: usize, gloss: &[Gloss]) -> Unknowns {
     Unknowns {
         inv_gamma: 1.0 / optics.calibration.gamma,
         light: optics.light,
         log_indirect: 0.0,
-        gloss: vec![Gloss::default(); n_materials],
+        gloss: gloss.to_vec(),
         log_gains: vec![0.0; n_views],
     }
 }
 
-/// What fits the patches, with gloss for those materials alone that show it.
+/// What fits the patches. Gloss is that of those materials alone that show it; the others are matte.
 struct Fitted {
     found: Unknowns,
     /// Standard deviations.
     sigmas: Vec<f64>,
     /// How much patches disagree, in standard deviations.
     misfit: f64,
-    /// Of each material.
-    is_glossy: Vec<bool>,
 }
 
 /// Exponents of gloss from which it is looked for. A lobe that is too narrow for what is there is taken for none.
 const FIRST_POWERS: [f64; 3] = [30.0, 10.0, 100.0];
 
 impl Fitted {
+    /// Fits patches from a start, which is also what is believed.
     fn new(
         patches: &mut [LitPatch],
-        start: &Unknowns,
+        start: Unknowns,
         params: &SelfCalibrationParams,
     ) -> Option<Fitted> {
-        let start = &Self::best_start(patches, start, params);
+        let mut start = Self::best_start(patches, start, params);
         let mut is_glossy = vec![true; start.gloss.len()];
         loop {
             let sigma = |&is_glossy: &bool| if is_glossy { GLOSS_SIGMA } else { MATTE_SIGMA };
             let gloss_sigmas: Vec<f64> = is_glossy.iter().map(sigma).collect();
-            let fitted = fit(patches, start, params, &gloss_sigmas);
-            let Some((found, sigmas)) = fitted else {
-                if is_glossy.contains(&true) {
-                    is_glossy.fill(false);
-                    continue;
-                }
+            let fitted = fit(patches, &start, params, &gloss_sigmas);
+            if fitted.is_none() && !is_glossy.contains(&true) {
                 return None;
+            }
+            let fitted = fitted.map(|(found, sigmas)| Fitted {
+                misfit: residual_scale(patches, &found),
+                found,
+                sigmas,
+            });
+            let shows = |material| {
+                fitted
+                    .as_ref()
+                    .is_some_and(|fitted| fitted.shows_gloss(material, &start))
             };
-            let misfit = residual_scale(patches, &found);
-            let stays = |(material, &is_glossy): (usize, &bool)| {
-                let strength = found.gloss[material].strength;
-                let sigma = sigmas[Unknowns::at_gloss(material)];
-                is_glossy
-                    && misfit < MAX_MISFIT
-                    && strength > MIN_GLOSS
-                    && strength > MIN_SIGMAS * sigma
-            };
-            let stay: Vec<bool> = is_glossy.iter().enumerate().map(stays).collect();
-            if stay == is_glossy {
-                return Some(Fitted {
-                    found,
-                    sigmas,
-                    misfit,
-                    is_glossy,
-                });
+            let stay = is_glossy.iter().enumerate();
+            let stay: Vec<bool> = stay
+                .map(|(material, &is_glossy)| is_glossy && shows(material))
+                .collect();
+            for (gloss, &stays) in start.gloss.iter_mut().zip(&stay) {
+                if !stays {
+                    *gloss = Gloss::default();
+                }
+            }
+            if let Some(mut fitted) = fitted.filter(|_| stay == is_glossy) {
+                for (gloss, &is_glossy) in fitted.found.gloss.iter_mut().zip(&is_glossy) {
+                    if !is_glossy {
+                        *gloss = Gloss::default();
+                    }
+                }
+                return Some(fitted);
             }
             // Gloss that is not there would make gamma less sure.
             is_glossy = stay;
         }
     }
 
-    /// The start with that exponent of gloss from which patches are fitted best.
+    /// Whether a material is glossy: for sure, or one of many that are, unless it shows that it is not.
+    fn shows_gloss(&self, material: usize, start: &Unknowns) -> bool {
+        let strength = self.found.gloss[material].strength;
+        let sigma = self.sigmas[Unknowns::at_gloss(material)];
+        let is_sure = strength > MIN_SIGMAS * sigma;
+        self.misfit < MAX_MISFIT
+            && strength > MIN_GLOSS
+            && (is_sure || !start.gloss[material].is_matte())
+    }
+
+    /// A matte start with that exponent of gloss from which patches are fitted best; one that knows of gloss as it is.
     fn best_start(
         patches: &mut [LitPatch],
-        start: &Unknowns,
+        start: Unknowns,
         params: &SelfCalibrationParams,
     ) -> Unknowns {
+        if !start.gloss.iter().all(Gloss::is_matte) {
+            return start;
+        }
         let sigmas = vec![GLOSS_SIGMA; start.gloss.len()];
         let fits = FIRST_POWERS.into_iter().filter_map(|power| {
             let mut start = start.clone();
@@ -291,14 +308,7 @@ impl Fitted {
             Some((loss(patches, &found), start))
         });
         let best = fits.min_by(|(a, _), (b, _)| a.total_cmp(b));
-        best.map_or_else(|| start.clone(), |(_, start)| start)
-    }
-
-    /// The gloss of each material.
-    fn believable_gloss(&self) -> Vec<Gloss> {
-        let gloss = self.found.gloss.iter().zip(&self.is_glossy);
-        let believable = |(&gloss, &is_glossy)| if is_glossy { gloss } else { Gloss::default() };
-        gloss.map(believable).collect()
+        best.map_or(start, |(_, start)| start)
     }
 }
 

@@ -182,7 +182,10 @@ impl Unknowns {
         let gloss = self.gloss.iter().zip(&start.gloss).zip(gloss_sigmas);
         let gloss = gloss.flat_map(|((gloss, start), &sigma)| {
             let log_power = (gloss.power / start.power).ln();
-            [(gloss.strength, sigma), (log_power, GLOSS_LOG_POWER_SIGMA)]
+            [
+                (gloss.strength - start.strength, sigma),
+                (log_power, GLOSS_LOG_POWER_SIGMA),
+            ]
         });
         let gains = self.log_gains.iter().map(|gain| (*gain, GAIN_SIGMA));
         let all = shared.into_iter().chain(gloss).chain(gains);
