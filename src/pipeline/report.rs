@@ -137,7 +137,7 @@ fn contradicted(refinement: &Refinement) -> Option<String> {
     ))
 }
 
-/// The warning about one label (albedos with their shares of the surface) where facets differ more than a material does.
+/// The warning about one label where facets differ more than a material does.
 fn one_for_all(materials: &[Material], spread: f64) -> Option<String> {
     /// From this share on a label has swallowed the rest; arbitrary.
     const SWALLOWED: f64 = 0.98;
@@ -248,7 +248,9 @@ fn refined_mesh(
                 gloss: material.gloss.strength,
             })
             .collect(),
-        gloss: (refinement.materials.iter())
+        gloss: refinement
+            .materials
+            .iter()
             .map(|material| material.gloss.strength)
             .fold(0.0, f64::max),
         rmse_before: refinement.rmse_before,

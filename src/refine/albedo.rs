@@ -193,12 +193,8 @@ impl Albedo {
         for (&before, &label) in self.labels.iter().zip(&next.labels) {
             counts[label as usize][before as usize] += 1;
         }
-        let commonest = |counts: &Vec<usize>| {
-            let groups = (0..counts.len()).rev();
-            let group = groups.max_by_key(|&group| counts[group]);
-            group.map_or_else(Gloss::default, |group| self.gloss[group])
-        };
-        counts.iter().map(commonest).collect()
+        let kept = |counts: &Vec<usize>| self.gloss[first_of_most(counts)];
+        counts.iter().map(kept).collect()
     }
 
     /// How glossy its sites are.
@@ -281,23 +277,8 @@ impl Albedo {
                 counts[vertex as usize * n_groups + label as usize] += 1;
             }
         }
-        let most = |counts: &[u32]| {
-            let first_of_most = (0..n_groups).rev().max_by_key(|&group| counts[group]);
-            first_of_most.unwrap_or(0) as u8
-        };
+        let most = |counts: &[u32]| first_of_most(counts) as u8;
         counts.chunks_exact(n_groups.max(1)).map(most).collect()
-    }
-
-    /// Group of each face: its site's, or that of most of its corners, the first of three.
-    pub fn labels_by_face(&self, kind: SiteKind, mesh: &TriMesh) -> Vec<u8> {
-        if kind == SiteKind::Face {
-            return self.labels.clone();
-        }
-        let of_face = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(|vertex| self.labels[vertex as usize]);
-            if b == c { b } else { a }
-        };
-        mesh.faces.iter().map(of_face).collect()
     }
 
     /// The groups as materials.
@@ -314,6 +295,24 @@ impl Albedo {
         };
         groups.map(material).collect()
     }
+}
+
+/// The group with most, the first of several; the first of none.
+pub fn first_of_most(counts: &[impl Ord]) -> usize {
+    let most = (0..counts.len()).rev().max_by_key(|&group| &counts[group]);
+    most.unwrap_or(0)
+}
+
+/// Group of each face, given those of the sites: its site's, or that of most of its corners, the first of three.
+pub fn labels_by_face(kind: SiteKind, labels: Vec<u8>, mesh: &TriMesh) -> Vec<u8> {
+    if kind == SiteKind::Face {
+        return labels;
+    }
+    let of_face = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|vertex| labels[vertex as usize]);
+        if b == c { b } else { a }
+    };
+    mesh.faces.iter().map(of_face).collect()
 }
 
 /// The albedos of given groups: Eq. (2) within each, and of all sites for one that no site belongs to.

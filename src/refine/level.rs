@@ -131,7 +131,7 @@ impl Level {
 
     /// What holds of the coarser level's sites, for the four that each face becomes, or for vertices and the first end of the edges
     /// that others halve.
-    fn of_children<T: Copy>(&self, kind: SiteKind, of_sites: &[T]) -> Vec<T> {
+    pub fn of_children<T: Copy>(&self, kind: SiteKind, of_sites: &[T]) -> Vec<T> {
         match kind {
             SiteKind::Face => of_sites.iter().flat_map(|&value| [value; 4]).collect(),
             SiteKind::Vertex => {

@@ -1,6 +1,7 @@
 //! What is made once before the rounds: the remeshed object, the views, the pattern of the normal equations.
 
 use super::MAX_VIEWS;
+use super::albedo::{Albedo, labels_by_face};
 use super::energy::Surface;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
 use super::held_out::{JudgedView, judge};
@@ -148,39 +149,42 @@ impl Preparation {
         let (mesh, views, sites) = (&self.levels[0].mesh, &self.views, &self.base_sites);
         let learnt = sites.only(learning);
         let albedo = self.rounds(0).first_albedo(&learnt, views);
-        let albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
+        let mut albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
         let errors = sites.view_errors(views, &albedo.by_site);
         let surface = Surface {
             directions: mesh.vertex_normals(),
             total_m: vec![0.0; mesh.vertices.len()],
             mesh: mesh.clone(),
         };
-        let mut state = State {
+        let gloss = self.gloss_of_materials(&albedo, subject.optics, learning);
+        albedo.gloss = gloss.unwrap_or_else(|| vec![self.told.gloss; albedo.groups.len()]);
+        let state = State {
             surface,
             views: views.clone(),
             albedo,
         };
-        let gloss = self.gloss_of_materials(&state, subject.optics, learning);
-        state.albedo.gloss = gloss.unwrap_or(vec![self.told.gloss; state.albedo.groups.len()]);
         Ok((state, errors))
     }
 
     /// What a set of views says of the gloss of each material of the base surface; `None` where they say nothing of each.
     fn gloss_of_materials(
         &self,
-        base: &State,
+        albedo: &Albedo,
         optics: &Optics,
         learning: ViewSet,
     ) -> Option<Vec<Gloss>> {
         let params = &self.params.self_calibration;
-        let n_materials = base.albedo.groups.len();
+        let n_materials = albedo.groups.len();
         if !params.enabled || n_materials < 2 {
             return None;
         }
-        let mut asked = base.clone();
-        self.prolong(&mut asked, 0, self.asked);
+        let kind = self.params.sites;
+        let finer = self.levels[1..=self.asked].iter();
+        let labels = finer.fold(albedo.labels.clone(), |labels, level| {
+            level.of_children(kind, &labels)
+        });
         let mesh = &self.levels[self.asked].mesh;
-        let labels = asked.albedo.labels_by_face(self.params.sites, mesh);
+        let labels = labels_by_face(kind, labels, mesh);
         let sites = Sites::new(SiteKind::Face, mesh, &self.views, learning);
         let relit = self.told.contradiction.as_ref();
         let relit = relit.map(|contradiction| optics.with(&contradiction.calibration));

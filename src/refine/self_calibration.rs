@@ -5,8 +5,9 @@
 //! the light with the integral of the normal, and that depends on the rim alone, so that noise and detail that the fused surface
 //! gets wrong do not count. Facet by facet gamma comes out up to 6 % too high on the recorded scans, patch by patch within 1.5 %.
 //!
-//! Unknown are gamma, the light's place and lobe, how strong indirect light is, how glossy each material, and a gain a view; each patch has its own albedo
-//! and tilt, which are eliminated. Residuals are of `ln I / gamma`, for it is the surface that errs and not the image.
+//! Unknown are gamma, the light's place and lobe, how strong indirect light is, how glossy each material, and a gain a view;
+//! each patch has its own albedo and tilt, which are eliminated. Residuals are of `ln I / gamma`, for it is the surface that
+//! errs and not the image.
 //!
 //! Not told: the light's place along the optical axis, which is nearly one with gamma, and the flat field, which is nearly one
 //! with the lobe.
@@ -139,12 +140,11 @@ pub fn told_by_images(
         return Told::default();
     }
     let start = start(optics, views.len(), &[Gloss::default()]);
-    let fitted = Fitted::new(&mut patches, start.clone(), params);
     let Some(Fitted {
         found,
         sigmas,
         misfit,
-    }) = fitted
+    }) = Fitted::new(&mut patches, &start, params)
     else {
         return Told::default();
     };
@@ -201,7 +201,7 @@ pub fn gloss_of_materials(
         return None;
     }
     let start = start(optics, views.len(), &vec![shared; n_materials]);
-    let gloss = Fitted::new(&mut patches, start, params)?.found.gloss;
+    let gloss = Fitted::new(&mut patches, &start, params)?.found.gloss;
     tracing::info!(
         strength = ?gloss.iter().map(|gloss| gloss.strength).collect::<Vec<f64>>(),
         power = ?gloss.iter().map(|gloss| gloss.power).collect::<Vec<f64>>(),
@@ -237,47 +237,67 @@ impl Fitted {
     /// Fits patches from a start, which is also what is believed.
     fn new(
         patches: &mut [LitPatch],
-        start: Unknowns,
+        start: &Unknowns,
         params: &SelfCalibrationParams,
     ) -> Option<Fitted> {
-        let mut start = Self::best_start(patches, start, params);
+        let (mut start, mut fitted) = Self::all_glossy(patches, start, params);
         let mut is_glossy = vec![true; start.gloss.len()];
         loop {
+            let shows = |material| {
+                let fitted = fitted.as_ref();
+                fitted.is_some_and(|fitted| fitted.shows_gloss(material, &start))
+            };
+            let stays = |(material, &is_glossy)| is_glossy && shows(material);
+            let stay: Vec<bool> = is_glossy.iter().enumerate().map(stays).collect();
+            if stay == is_glossy {
+                break;
+            }
+            is_glossy = stay;
+            // Gloss that is not there would make gamma less sure.
+            make_matte(&mut start.gloss, &is_glossy);
             let sigma = |&is_glossy: &bool| if is_glossy { GLOSS_SIGMA } else { MATTE_SIGMA };
             let gloss_sigmas: Vec<f64> = is_glossy.iter().map(sigma).collect();
-            let fitted = fit(patches, &start, params, &gloss_sigmas);
-            if fitted.is_none() && !is_glossy.contains(&true) {
-                return None;
-            }
-            let fitted = fitted.map(|(found, sigmas)| Fitted {
-                misfit: residual_scale(patches, &found),
-                found,
-                sigmas,
-            });
-            let shows = |material| {
-                fitted
-                    .as_ref()
-                    .is_some_and(|fitted| fitted.shows_gloss(material, &start))
-            };
-            let stay = is_glossy.iter().enumerate();
-            let stay: Vec<bool> = stay
-                .map(|(material, &is_glossy)| is_glossy && shows(material))
-                .collect();
-            for (gloss, &stays) in start.gloss.iter_mut().zip(&stay) {
-                if !stays {
-                    *gloss = Gloss::default();
-                }
-            }
-            if let Some(mut fitted) = fitted.filter(|_| stay == is_glossy) {
-                for (gloss, &is_glossy) in fitted.found.gloss.iter_mut().zip(&is_glossy) {
-                    if !is_glossy {
-                        *gloss = Gloss::default();
-                    }
-                }
-                return Some(fitted);
-            }
-            // Gloss that is not there would make gamma less sure.
-            is_glossy = stay;
+            fitted = Self::with(patches, &start, params, &gloss_sigmas);
+        }
+        let mut fitted = fitted?;
+        make_matte(&mut fitted.found.gloss, &is_glossy);
+        Some(fitted)
+    }
+
+    /// Fits patches with gloss as stated.
+    fn with(
+        patches: &mut [LitPatch],
+        start: &Unknowns,
+        params: &SelfCalibrationParams,
+        gloss_sigmas: &[f64],
+    ) -> Option<Fitted> {
+        let (found, sigmas) = fit(patches, start, params, gloss_sigmas)?;
+        Some(Fitted {
+            misfit: residual_scale(patches, &found),
+            found,
+            sigmas,
+        })
+    }
+
+    /// Fits patches that may all be glossy: from that exponent from which they are fitted best, or from gloss that is believed.
+    fn all_glossy(
+        patches: &mut [LitPatch],
+        start: &Unknowns,
+        params: &SelfCalibrationParams,
+    ) -> (Unknowns, Option<Fitted>) {
+        let sigmas = vec![GLOSS_SIGMA; start.gloss.len()];
+        if !start.gloss.iter().all(Gloss::is_matte) {
+            return (start.clone(), Self::with(patches, start, params, &sigmas));
+        }
+        let fits = FIRST_POWERS.into_iter().filter_map(|power| {
+            let mut start = start.clone();
+            start.gloss.iter_mut().for_each(|gloss| gloss.power = power);
+            let fitted = Self::with(patches, &start, params, &sigmas)?;
+            Some((loss(patches, &fitted.found), start, fitted))
+        });
+        match fits.min_by(|(a, ..), (b, ..)| a.total_cmp(b)) {
+            Some((_, start, fitted)) => (start, Some(fitted)),
+            None => (start.clone(), None),
         }
     }
 
@@ -290,25 +310,14 @@ impl Fitted {
             && strength > MIN_GLOSS
             && (is_sure || !start.gloss[material].is_matte())
     }
+}
 
-    /// A matte start with that exponent of gloss from which patches are fitted best; one that knows of gloss as it is.
-    fn best_start(
-        patches: &mut [LitPatch],
-        start: Unknowns,
-        params: &SelfCalibrationParams,
-    ) -> Unknowns {
-        if !start.gloss.iter().all(Gloss::is_matte) {
-            return start;
+/// Takes gloss from the materials that are not glossy.
+fn make_matte(gloss: &mut [Gloss], is_glossy: &[bool]) {
+    for (gloss, &is_glossy) in gloss.iter_mut().zip(is_glossy) {
+        if !is_glossy {
+            *gloss = Gloss::default();
         }
-        let sigmas = vec![GLOSS_SIGMA; start.gloss.len()];
-        let fits = FIRST_POWERS.into_iter().filter_map(|power| {
-            let mut start = start.clone();
-            start.gloss.iter_mut().for_each(|gloss| gloss.power = power);
-            let (found, _) = fit(patches, &start, params, &sigmas)?;
-            Some((loss(patches, &found), start))
-        });
-        let best = fits.min_by(|(a, _), (b, _)| a.total_cmp(b));
-        best.map_or(start, |(_, start)| start)
     }
 }
 

@@ -211,7 +211,8 @@ impl View {
         Some((jacobian.row(0) * du + jacobian.row(1) * dv).transpose())
     }
 
-    /// What a site looks like in this view, by what the view shows there; `None` where its pixel is unusable or it faces away from the light.
+    /// What a site looks like in this view, by what the view shows there; `None` where its pixel is unusable or it faces away
+    /// from the light.
     pub fn sample(
         &self,
         look: &Look,

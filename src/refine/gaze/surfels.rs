@@ -8,7 +8,6 @@ use nalgebra::Vector3;
 pub type Lanes3 = [Lane; 3];
 
 /// Pieces of a surface: places with normals and gloss.
-#[derive(Clone)]
 pub struct Surfels {
     /// Places, world frame, metres.
     pub points: Lanes3,

@@ -1,5 +1,6 @@
 //! Patches of the surface as the views see them, integrated, so that only their rims count.
 
+use crate::refine::albedo::first_of_most;
 use crate::refine::gaze::Gaze;
 use crate::refine::optics::Optics;
 use crate::refine::sites::Sites;
@@ -66,15 +67,17 @@ impl LitPatch {
             }
         }
         let cells: Vec<Vec<u32>> = cells.into_values().collect();
-        let patch = |faces: &Vec<u32>| {
-            let patch = LitPatch::new(faces, sites, views, optics)?;
-            let material = commonest(faces, materials);
-            Some(LitPatch { material, ..patch })
-        };
+        let patch = |faces: &Vec<u32>| LitPatch::new(faces, sites, views, optics, materials);
         cells.par_iter().filter_map(patch).collect()
     }
 
-    fn new(faces: &[u32], sites: &Sites, views: &[View], optics: &Optics) -> Option<LitPatch> {
+    fn new(
+        faces: &[u32],
+        sites: &Sites,
+        views: &[View],
+        optics: &Optics,
+        materials: &[u8],
+    ) -> Option<LitPatch> {
         let facets = faces.iter().filter_map(|&face| {
             let face = face as usize;
             let area = sites.areas_m2[face];
@@ -103,7 +106,7 @@ impl LitPatch {
             readings,
             share: (area_m2 / (CORRELATION_M * CORRELATION_M)).min(1.0),
             own: Vector3::zeros(),
-            material: 0,
+            material: commonest(faces, materials),
         })
     }
 }
@@ -115,8 +118,7 @@ fn commonest(faces: &[u32], materials: &[u8]) -> usize {
         .filter_map(|&face| materials.get(face as usize));
     let mut counts = [0u32; 1 + u8::MAX as usize];
     of_faces.for_each(|&material| counts[material as usize] += 1);
-    let first_of_most = (0..counts.len()).rev().max_by_key(|&k| counts[k]);
-    first_of_most.unwrap_or(0)
+    first_of_most(&counts)
 }
 
 /// Integrates what a view shows of facets (centroid, normal, area), world frame.
