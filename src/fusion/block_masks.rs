@@ -12,30 +12,31 @@ pub type Mask = [u64; SLABS];
 const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
 /// The bits with x = 0 where bit 0 of the index is set, and with y = 0 where bit 1 is.
 pub const LAYERS: [u64; 4] = [!0, FIRST_COLUMN, 0xFF, 1];
+/// The bits with x = 7 where bit 0 of the index is set, and with y = 7 where bit 1 is.
+pub const LAST_LAYERS: [u64; 4] = [!0, FIRST_COLUMN << 7, 0xFF << 56, 1 << 63];
 /// No block.
 pub const NONE: u32 = u32::MAX;
 
-/// The blocks around one, itself among them; [`NONE`] where there is none. Bit a of an index stands for a step along axis a.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Neighbours {
-    /// Towards larger coordinates.
-    pub up: [u32; 8],
-    /// Towards smaller coordinates.
-    pub down: [u32; 8],
+/// A block and seven beside it, in one direction along each axis; [`NONE`] where there is none. Bit a of an index stands for a
+/// step along axis a.
+pub type Octant = [u32; 8];
+
+/// A block and those towards larger coordinates.
+pub fn blocks_above(volume: &TsdfVolume, coord: BlockCoord) -> Octant {
+    octant(volume, coord, 1)
 }
 
-impl Neighbours {
-    /// The neighbours of a block.
-    pub fn of(volume: &TsdfVolume, coord: BlockCoord) -> Self {
-        let find = |side: usize, step: i32| {
-            let coord = [0, 1, 2].map(|axis| coord[axis] + step * (side >> axis & 1) as i32);
-            volume.find(coord).map_or(NONE, |block| block as u32)
-        };
-        Neighbours {
-            up: std::array::from_fn(|side| find(side, 1)),
-            down: std::array::from_fn(|side| find(side, -1)),
-        }
-    }
+/// A block and those towards smaller coordinates.
+pub fn blocks_below(volume: &TsdfVolume, coord: BlockCoord) -> Octant {
+    octant(volume, coord, -1)
+}
+
+#[inline(always)]
+fn octant(volume: &TsdfVolume, coord: BlockCoord, step: i32) -> Octant {
+    std::array::from_fn(|side| {
+        let coord = [0, 1, 2].map(|axis| coord[axis] + step * (side >> axis & 1) as i32);
+        volume.find(coord).map_or(NONE, |block| block as u32)
+    })
 }
 
 /// What a block's voxels are.
@@ -47,7 +48,32 @@ pub struct Voxels {
     pub inside: Mask,
 }
 
+/// Which signs the distances of some voxels have, of those that were seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Signs(u8);
+
+impl Signs {
+    /// Both.
+    pub const BOTH: Signs = Signs(3);
+
+    /// Those of these voxels and of those.
+    #[inline(always)]
+    pub fn and(self, other: Signs) -> Signs {
+        Signs(self.0 | other.0)
+    }
+}
+
 impl Voxels {
+    /// Which signs its distances have.
+    #[inline(always)]
+    pub fn signs(&self) -> Signs {
+        let slabs = self.seen.iter().zip(&self.inside);
+        let (inside, outside) = slabs.fold((0, 0), |(inside, outside), (seen, inside_here)| {
+            (inside | inside_here, outside | (seen & !inside_here))
+        });
+        Signs(u8::from(inside != 0) | u8::from(outside != 0) << 1)
+    }
+
     /// Reads a block; voxels of less than `min_weight` do not count as seen.
     #[inline(always)]
     pub fn of(block: &Block, min_weight: f32) -> Self {
@@ -102,8 +128,8 @@ type Plane = [u64; 4];
 /// Plane `z` (0 to 8) of a block and of those above it.
 #[inline(always)]
 fn plane(around: &[&Mask; 8], z: usize) -> Plane {
-    let (above, slab) = (4 * (z / SLABS), z % SLABS);
-    let word = |side: usize| around[above | side][slab];
+    let (upper, slab) = (4 * (z / SLABS), z % SLABS);
+    let word = |side: usize| around[upper | side][slab];
     let along_x =
         |own: u64, next: u64| own >> 1 & !(FIRST_COLUMN << 7) | (next & FIRST_COLUMN) << 7;
     let along_y = |own: u64, next: u64| own >> 8 | next << 56;
@@ -112,17 +138,17 @@ fn plane(around: &[&Mask; 8], z: usize) -> Plane {
 }
 
 /// A mask of nothing.
-const NOTHING: Mask = [0; SLABS];
+pub const NOTHING: Mask = [0; SLABS];
 
 /// Masks of a block and of those above it; nothing where there is none.
 #[inline(always)]
 fn upwards<'a>(
     voxels: &'a [Voxels],
-    neighbours: &Neighbours,
+    above: &Octant,
     mask: impl Fn(&'a Voxels) -> &'a Mask,
 ) -> [&'a Mask; 8] {
     let of = |block: u32| voxels.get(block as usize).map_or(&NOTHING, &mask);
-    neighbours.up.map(of)
+    above.map(of)
 }
 
 /// Which corners of a block's cubes lie inside.
@@ -131,8 +157,8 @@ pub struct Corners([Plane; SLABS + 1]);
 impl Corners {
     /// The corners of the cubes of a block, given what the voxels of all blocks are.
     #[inline(always)]
-    pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
-        let around = upwards(voxels, neighbours, |voxels| &voxels.inside);
+    pub fn of(voxels: &[Voxels], above: &Octant) -> Self {
+        let around = upwards(voxels, above, |voxels| &voxels.inside);
         let mut planes = [[0; 4]; SLABS + 1];
         for (z, out) in planes.iter_mut().enumerate() {
             *out = plane(&around, z);
@@ -143,86 +169,65 @@ impl Corners {
     /// The inside corners of the cube whose lowest voxel is at a bit of slab `z`, one bit each, as
     /// [`cases`](super::cube_cases::cases) numbers them.
     #[inline(always)]
-    pub fn pattern(&self, z: usize, bit: usize) -> usize {
+    pub fn pattern(&self, z: usize, bit: usize) -> u8 {
         let mut pattern = 0;
         for corner in 0..4 {
             pattern |= (self.0[z][corner] >> bit & 1) << corner;
             pattern |= (self.0[z + 1][corner] >> bit & 1) << (corner + 4);
         }
-        pattern as usize
+        pattern as u8
     }
-}
 
-/// Cubes of a block of which all eight voxels were seen and that the surface crosses, each at the bit of its lowest voxel.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Cubes(pub Mask);
-
-impl Cubes {
-    /// The cubes of a block, given what the voxels of all blocks are.
+    /// Cubes of the block of which all eight voxels were seen and that the surface crosses, each at the bit of its lowest voxel,
+    /// given what the voxels of all blocks are.
     #[inline(always)]
-    pub fn of(voxels: &[Voxels], neighbours: &Neighbours) -> Self {
-        let (seen, inside) = (
-            upwards(voxels, neighbours, |voxels| &voxels.seen),
-            upwards(voxels, neighbours, |voxels| &voxels.inside),
-        );
-        let mut cubes = Cubes::default();
+    pub fn crossed_cubes(&self, voxels: &[Voxels], above: &Octant) -> Mask {
         let all = |[a, b, c, d]: Plane| a & b & c & d;
         let any = |[a, b, c, d]: Plane| a | b | c | d;
-        let (mut seen_below, mut inside_below) = (plane(&seen, 0), plane(&inside, 0));
-        for z in 0..SLABS {
-            let (seen_above, inside_above) = (plane(&seen, z + 1), plane(&inside, z + 1));
-            let any_inside = any(inside_below) | any(inside_above);
-            let all_inside = all(inside_below) & all(inside_above);
-            cubes.0[z] = all(seen_below) & all(seen_above) & any_inside & !all_inside;
-            (seen_below, inside_below) = (seen_above, inside_above);
-        }
-        cubes
+        let seen = upwards(voxels, above, |voxels| &voxels.seen);
+        let mut seen_below = all(plane(&seen, 0));
+        std::array::from_fn(|z| {
+            let seen_above = all(plane(&seen, z + 1));
+            let (below, above) = (self.0[z], self.0[z + 1]);
+            let all_seen = std::mem::replace(&mut seen_below, seen_above) & seen_above;
+            all_seen & (any(below) | any(above)) & !(all(below) & all(above))
+        })
     }
 
-    /// Whether the surface passes through the block.
+    /// Edges of the block that the surface crosses, by axis, each at the bit of its lower voxel.
     #[inline(always)]
-    pub fn any_crossed(&self) -> bool {
-        self.0.iter().any(|&word| word != 0)
+    pub fn crossed_edges(&self) -> [Mask; 3] {
+        let end = |axis: usize, z: usize| match axis {
+            2 => self.0[z + 1][0],
+            _ => self.0[z][axis + 1],
+        };
+        std::array::from_fn(|axis| std::array::from_fn(|z| self.0[z][0] ^ end(axis, z)))
     }
 }
 
-/// The crossed edges of a block that some cube uses, by axis, each at the bit of its lower voxel. A cube with a crossed edge
-/// is crossed itself.
+/// Of a block's edges those that one of some cubes has, which are of the block and of those below it: see [`blocks_below`].
 #[inline(always)]
-pub fn used_edges(voxels: &[Voxels], around: &[(Neighbours, Cubes)], block: usize) -> [Mask; 3] {
-    let (neighbours, _) = &around[block];
-    let mut crossed = [&NOTHING; 8];
-    for (mask, &below) in crossed.iter_mut().zip(&neighbours.down) {
-        if let Some((_, cubes)) = around.get(below as usize) {
-            *mask = &cubes.0;
-        }
-    }
-    let mut edges = [NOTHING; 3];
-    if crossed.iter().all(|mask| **mask == NOTHING) {
-        return edges;
-    }
-    let inside = upwards(voxels, neighbours, |voxels| &voxels.inside);
+pub fn edges_of_cubes(edges: &[Mask; 3], cubes: [&Mask; 8]) -> [Mask; 3] {
+    let back_x = |own: u64, previous: u64| own << 1 & !FIRST_COLUMN | previous >> 7 & FIRST_COLUMN;
+    let back_y = |own: u64, previous: u64| own << 8 | previous >> 56;
+    let with_back_x = |own: u64, previous: u64| own | back_x(own, previous);
+    let with_back_y = |own: u64, previous: u64| own | back_y(own, previous);
+    let mut used = [NOTHING; 3];
     for z in 0..SLABS {
         // Slab z of the block, and the one below it, which may belong to the blocks below.
-        let same = |side: usize| crossed[side][z];
+        let same = |side: usize| cubes[side][z];
         let below = |side: usize| match z {
-            0 => crossed[4 | side][SLABS - 1],
-            _ => crossed[side][z - 1],
+            0 => cubes[4 | side][SLABS - 1],
+            _ => cubes[side][z - 1],
         };
-        let back_x =
-            |own: u64, previous: u64| own << 1 & !FIRST_COLUMN | previous >> 7 & FIRST_COLUMN;
-        let back_y = |own: u64, previous: u64| own << 8 | previous >> 56;
-        let with_back_x = |own: u64, previous: u64| own | back_x(own, previous);
-        let with_back_y = |own: u64, previous: u64| own | back_y(own, previous);
-        let (here, above) = (plane(&inside, z), plane(&inside, z + 1));
-        edges[0][z] =
-            (here[0] ^ here[1]) & (with_back_y(same(0), same(2)) | with_back_y(below(0), below(2)));
-        edges[1][z] =
-            (here[0] ^ here[2]) & (with_back_x(same(0), same(1)) | with_back_x(below(0), below(1)));
+        let along_x = with_back_y(same(0), same(2)) | with_back_y(below(0), below(2));
         let (row, previous_row) = (with_back_x(same(0), same(1)), with_back_x(same(2), same(3)));
-        edges[2][z] = (here[0] ^ above[0]) & with_back_y(row, previous_row);
+        let along_y = row | with_back_x(below(0), below(1));
+        used[0][z] = edges[0][z] & along_x;
+        used[1][z] = edges[1][z] & along_y;
+        used[2][z] = edges[2][z] & with_back_y(row, previous_row);
     }
-    edges
+    used
 }
 
 /// The set bits of a word, lowest first.

@@ -10,7 +10,7 @@
 //! nothing apart.
 
 use super::Fusion;
-use super::block_masks::{Neighbours, Voxels};
+use super::block_masks::{Octant, Voxels, blocks_above, blocks_below};
 use super::each_block::{Reading, TASK_BLOCKS, each};
 use super::surface_patch::{Renewal, SurfacePatch};
 use super::volume::TsdfVolume;
@@ -92,23 +92,23 @@ impl Fusion {
         live.patches
             .resize(self.volume.blocks().len(), SurfacePatch::default());
         let coords = self.volume.coords();
-        let around: Vec<Neighbours> = blocks
+        let above: Vec<Octant> = blocks
             .iter()
-            .map(|&block| Neighbours::of(&self.volume, coords[block as usize]))
+            .map(|&block| blocks_above(&self.volume, coords[block as usize]))
             .collect();
-        self.read(live, &around);
+        self.read(live, &above);
         let mut patches: Vec<SurfacePatch> = blocks
             .iter()
             .map(|&block| std::mem::take(&mut live.patches[block as usize]))
             .collect();
         let tasks = patches.par_chunks_mut(TASK_BLOCKS);
-        let tasks = tasks.zip(around.par_chunks(TASK_BLOCKS));
-        tasks.for_each(|(patches, around)| {
+        let tasks = tasks.zip(above.par_chunks(TASK_BLOCKS));
+        tasks.for_each(|(patches, above)| {
             self.eye.arch.dispatch(Renewal {
                 volume: &self.volume,
                 voxels: &live.voxels,
                 patches,
-                around,
+                above,
             });
         });
         for (&block, patch) in blocks.iter().zip(patches) {
@@ -118,18 +118,18 @@ impl Fusion {
     }
 
     /// Reads the voxels that the cubes of some blocks reach, as far as frames have changed them since they were read.
-    fn read(&self, live: &mut LiveMesh, around: &[Neighbours]) {
+    fn read(&self, live: &mut LiveMesh, above: &[Octant]) {
         let n_blocks = self.volume.blocks().len();
         live.voxels.resize(n_blocks, Voxels::default());
         live.read_after.resize(n_blocks, 0);
         let mut changed = Vec::new();
-        for above in around.iter().flat_map(|around| around.up) {
+        for &block in above.as_flattened() {
             // Where there is no block the number lies beyond all blocks.
-            if let Some(read_after) = live.read_after.get_mut(above as usize)
-                && *read_after < self.band.touched_in(above)
+            if let Some(read_after) = live.read_after.get_mut(block as usize)
+                && *read_after < self.band.touched_in(block)
             {
                 *read_after = self.band.frame();
-                changed.push(above);
+                changed.push(block);
             }
         }
         let reading = Reading {
@@ -151,8 +151,7 @@ fn affected(volume: &TsdfVolume, changed: impl Iterator<Item = u32>, waiting: &[
         is_affected[block as usize] = true;
     }
     for block in changed {
-        let around = Neighbours::of(volume, volume.coords()[block as usize]);
-        for below in around.down {
+        for below in blocks_below(volume, volume.coords()[block as usize]) {
             // Where there is no block the number lies beyond all blocks.
             if let Some(is_affected) = is_affected.get_mut(below as usize) {
                 *is_affected = true;

@@ -1,19 +1,22 @@
 //! Marching cubes (Lorensen and Cline 1987) over the sparse volume.
 //!
-//! Crossed cubes and edges are found 64 at a time in bit masks. Every crossed edge belongs to the block of its lower voxel and
-//! carries one vertex, whose number is that of the crossed edges before it, so that cubes share vertices without a search.
-//! Blocks are worked on in parallel, and their parts put together in the order of allocation.
+//! Crossed cubes and edges are found 64 at a time in bit masks, in the blocks that have both signs about them alone. Every crossed
+//! edge belongs to the block of its lower voxel and carries one vertex, whose number is that of the crossed edges before it, so
+//! that cubes share vertices without a search. Blocks are worked on in parallel, and their parts put together in the order of
+//! allocation.
 
 use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BlockCoord, voxel_index};
 use super::block_masks::{
-    Corners, Cubes, LAYERS, Mask, NONE, Neighbours, SLABS, Voxels, bits, used_edges,
+    Corners, LAST_LAYERS, LAYERS, Mask, NONE, NOTHING, Octant, SLABS, Signs, Voxels, bits,
+    blocks_above, blocks_below, edges_of_cubes,
 };
 use super::cube_cases::{EDGE_CORNERS, EDGE_SLOTS, N_SLOTS, cases, corner_place, slot};
-use super::each_block::{OfBlock, Reading, TASK_BLOCKS, each};
+use super::each_block::{Reading, TASK_BLOCKS, each};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
 use nalgebra::Point3;
 use pulp::{Arch, Simd, WithSimd};
+use rayon::iter::repeat_n;
 use rayon::prelude::*;
 
 /// Extracts the zero surface where all eight voxels of a cube have at least `min_weight`.
@@ -28,50 +31,111 @@ pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMe
         min_weight,
     };
     let voxels = each(arch, n_blocks, &reading);
-    let around = each(
-        arch,
-        n_blocks,
-        &Crossing {
+    let signs: Vec<Signs> = voxels.par_iter().map(Voxels::signs).collect();
+    let mut place_of = vec![NO_PLACE; n_blocks];
+    let tasks = place_of.par_chunks_mut(TASK_BLOCKS).enumerate();
+    let found = tasks.map(|(task, place_of)| {
+        arch.dispatch(Finding {
             volume,
             voxels: &voxels,
-        },
-    );
+            signs: &signs,
+            first: (task * TASK_BLOCKS) as u32,
+            place_of,
+        })
+    });
     let grid = Grid {
         volume,
-        voxels: &voxels,
-        around: &around,
+        found: found.collect(),
+        place_of,
     };
-    let surfaces = numbered(each(arch, n_blocks, &grid));
+    let surfaces = numbered(grid.surfaces(arch));
     grid.mesh(arch, &surfaces)
 }
 
-/// Finds the blocks around each, and its cubes.
-struct Crossing<'a> {
-    volume: &'a TsdfVolume,
-    voxels: &'a [Voxels],
+/// The block has nothing that the surface crosses.
+const NO_PLACE: u16 = u16::MAX;
+
+/// What the surface crosses in one task's blocks, where it crosses something.
+struct Found {
+    blocks: Vec<Crossed>,
+    /// Patterns of the crossed cubes.
+    patterns: Vec<u8>,
 }
 
-impl OfBlock for Crossing<'_> {
-    type Out = (Neighbours, Cubes);
+/// What the surface crosses in a block.
+struct Crossed {
+    /// The block, and those above it.
+    above: Octant,
+    /// Cubes, at the bits of their lowest voxels.
+    cubes: Mask,
+    /// Edges, used or not, by axis, at the bits of their lower voxels.
+    edges: [Mask; 3],
+    n_faces: u32,
+}
+
+/// Finds what the surface crosses in one task's blocks.
+struct Finding<'a> {
+    volume: &'a TsdfVolume,
+    /// Of all blocks.
+    voxels: &'a [Voxels],
+    signs: &'a [Signs],
+    /// The first of the blocks.
+    first: u32,
+    /// Where each of them stands among those found.
+    place_of: &'a mut [u16],
+}
+
+impl WithSimd for Finding<'_> {
+    type Output = Found;
 
     #[inline(always)]
-    fn of(&self, block: usize) -> (Neighbours, Cubes) {
-        let neighbours = Neighbours::of(self.volume, self.volume.coords()[block]);
-        (neighbours, Cubes::of(self.voxels, &neighbours))
+    fn with_simd<S: Simd>(self, _: S) -> Found {
+        let cases = cases();
+        let (mut blocks, mut patterns) = (Vec::new(), Vec::new());
+        for (block, place) in (self.first..).zip(self.place_of) {
+            let above = blocks_above(self.volume, self.volume.coords()[block as usize]);
+            let signs = |block: u32| self.signs.get(block as usize).copied();
+            let signs = above.into_iter().filter_map(signs);
+            if signs.fold(Signs::default(), Signs::and) != Signs::BOTH {
+                continue;
+            }
+            let corners = Corners::of(self.voxels, &above);
+            let edges = corners.crossed_edges();
+            let cubes = corners.crossed_cubes(self.voxels, &above);
+            if edges == [NOTHING; 3] && cubes == NOTHING {
+                continue;
+            }
+            let mut n_faces = 0;
+            for (z, &word) in cubes.iter().enumerate() {
+                for bit in bits(word) {
+                    let pattern = corners.pattern(z, bit);
+                    n_faces += cases[pattern as usize].n_triangles() as u32;
+                    patterns.push(pattern);
+                }
+            }
+            *place = blocks.len() as u16;
+            blocks.push(Crossed {
+                above,
+                cubes,
+                edges,
+                n_faces,
+            });
+        }
+        Found { blocks, patterns }
     }
 }
 
 /// The vertices on a block's edges and the faces in its cubes.
-#[derive(Clone, Default)]
+#[derive(Default)]
 struct Surface {
     /// Edges with a vertex, by axis, each at the bit of its lower voxel.
     edges: [Mask; 3],
     /// Vertices of the block before each word of `edges`.
     before: [[u16; SLABS]; 3],
     n_vertices: u32,
-    n_faces: u32,
     /// Vertices of the blocks before this one.
     first_vertex: u32,
+    n_faces: u32,
 }
 
 impl Surface {
@@ -105,75 +169,88 @@ fn counts(surfaces: &[Surface]) -> (usize, usize) {
     })
 }
 
-/// Numbers the vertices of all blocks through.
-fn numbered(mut surfaces: Vec<Surface>) -> Vec<Surface> {
+/// Numbers the vertices of all tasks' blocks through.
+fn numbered(mut surfaces: Vec<Vec<Surface>>) -> Vec<Vec<Surface>> {
     let mut n_vertices = 0;
-    for surface in &mut surfaces {
+    for surface in surfaces.iter_mut().flatten() {
         surface.first_vertex = n_vertices;
         n_vertices += surface.n_vertices;
     }
     surfaces
 }
 
+/// What the surface crosses.
 struct Grid<'a> {
     volume: &'a TsdfVolume,
-    voxels: &'a [Voxels],
-    around: &'a [(Neighbours, Cubes)],
-}
-
-impl OfBlock for Grid<'_> {
-    type Out = Surface;
-
-    #[inline(always)]
-    fn of(&self, block: usize) -> Surface {
-        let (neighbours, cubes) = &self.around[block];
-        let edges = used_edges(self.voxels, self.around, block);
-        let mut surface = Surface {
-            edges,
-            ..Surface::default()
-        };
-        let words = edges.as_flattened().iter();
-        for (before, word) in surface.before.as_flattened_mut().iter_mut().zip(words) {
-            *before = surface.n_vertices as u16;
-            surface.n_vertices += word.count_ones();
-        }
-        if cubes.any_crossed() {
-            let (corners, cases) = (Corners::of(self.voxels, neighbours), cases());
-            for (z, &word) in cubes.0.iter().enumerate() {
-                for bit in bits(word) {
-                    surface.n_faces += cases[corners.pattern(z, bit)].n_triangles() as u32;
-                }
-            }
-        }
-        surface
-    }
+    /// By tasks.
+    found: Vec<Found>,
+    /// Where each of all blocks stands among its task's; [`NO_PLACE`] where it does not.
+    place_of: Vec<u16>,
 }
 
 /// Vertices and faces of a task's blocks, to be filled in.
 type Part<'a> = (&'a mut [Point3<f64>], &'a mut [[u32; 3]]);
 
 impl Grid<'_> {
-    fn mesh(&self, arch: Arch, surfaces: &[Surface]) -> TriMesh {
-        let (n_vertices, n_faces) = counts(surfaces);
+    /// Something of a block, of that of all tasks' blocks in which the surface crosses something.
+    #[inline(always)]
+    fn get<'a, T>(&self, of_task: impl Fn(usize) -> &'a [T], block: u32) -> Option<&'a T> {
+        // Where there is no block, the number lies beyond all blocks.
+        let block = block as usize;
+        let place = *self.place_of.get(block)?;
+        of_task(block / TASK_BLOCKS).get(place as usize)
+    }
+
+    /// Those of all tasks.
+    fn surfaces(&self, arch: Arch) -> Vec<Vec<Surface>> {
+        let tasks = self.found.par_iter();
+        let surfaces = tasks.map(|Found { blocks, .. }| {
+            arch.dispatch(
+                #[inline(always)]
+                || blocks.iter().map(|block| self.surface(block)).collect(),
+            )
+        });
+        surfaces.collect()
+    }
+
+    #[inline(always)]
+    fn surface(&self, crossed: &Crossed) -> Surface {
+        let coord = self.volume.coords()[crossed.above[0] as usize];
+        let below = blocks_below(self.volume, coord).map(|below| {
+            let below = self.get(|task| &self.found[task].blocks, below);
+            below.map_or(&NOTHING, |below| &below.cubes)
+        });
+        let mut surface = Surface {
+            edges: edges_of_cubes(&crossed.edges, below),
+            n_faces: crossed.n_faces,
+            ..Surface::default()
+        };
+        let words = surface.edges.as_flattened().iter();
+        for (before, word) in surface.before.as_flattened_mut().iter_mut().zip(words) {
+            *before = surface.n_vertices as u16;
+            surface.n_vertices += word.count_ones();
+        }
+        surface
+    }
+
+    fn mesh(&self, arch: Arch, surfaces: &[Vec<Surface>]) -> TriMesh {
+        let of_tasks: Vec<(usize, usize)> =
+            surfaces.iter().map(|of_task| counts(of_task)).collect();
         let mut mesh = TriMesh {
-            vertices: vec![Point3::origin(); n_vertices],
-            faces: vec![[0; 3]; n_faces],
+            vertices: repeat_n(Point3::origin(), of_tasks.iter().map(|of| of.0).sum()).collect(),
+            faces: vec![[0; 3]; of_tasks.iter().map(|of| of.1).sum()],
         };
         let (mut vertices, mut faces) = (&mut mesh.vertices[..], &mut mesh.faces[..]);
-        let parts: Vec<Part<'_>> = surfaces
-            .chunks(TASK_BLOCKS)
-            .map_while(|of_task| {
-                let (n_vertices, n_faces) = counts(of_task);
-                let vertices = vertices.split_off_mut(..n_vertices)?;
-                Some((vertices, faces.split_off_mut(..n_faces)?))
-            })
-            .collect();
+        let parts = of_tasks.iter().map_while(|&(n_vertices, n_faces)| {
+            let vertices = vertices.split_off_mut(..n_vertices)?;
+            Some((vertices, faces.split_off_mut(..n_faces)?))
+        });
+        let parts: Vec<Part<'_>> = parts.collect();
         parts.into_par_iter().enumerate().for_each(|(task, part)| {
-            let first = task * TASK_BLOCKS;
             arch.dispatch(Writing {
                 grid: self,
                 surfaces,
-                first,
+                task,
                 part,
             });
         });
@@ -181,11 +258,12 @@ impl Grid<'_> {
     }
 }
 
-/// Writes the part of the task that begins with block `first`.
+/// Writes the part of a task.
 struct Writing<'a> {
     grid: &'a Grid<'a>,
-    surfaces: &'a [Surface],
-    first: usize,
+    /// Of all tasks.
+    surfaces: &'a [Vec<Surface>],
+    task: usize,
     part: Part<'a>,
 }
 
@@ -196,10 +274,12 @@ impl WithSimd for Writing<'_> {
     fn with_simd<S: Simd>(mut self, _: S) {
         let (vertices, faces) = std::mem::take(&mut self.part);
         let (mut vertices, mut faces) = (vertices.iter_mut(), faces.iter_mut());
+        let Found { blocks, patterns } = &self.grid.found[self.task];
+        let mut patterns = patterns.iter();
         let mut numbers = [0; N_SLOTS];
-        for block in self.first..(self.first + TASK_BLOCKS).min(self.surfaces.len()) {
-            self.place(block, &mut numbers, &mut vertices);
-            self.connect(block, &mut numbers, &mut faces);
+        for (block, surface) in blocks.iter().zip(&self.surfaces[self.task]) {
+            self.place(block, surface, &mut numbers, &mut vertices);
+            self.connect(block, &mut numbers, &mut patterns, &mut faces);
         }
     }
 }
@@ -209,19 +289,25 @@ impl Writing<'_> {
     #[inline(always)]
     fn place(
         &self,
-        block: usize,
+        Crossed { above, .. }: &Crossed,
+        surface: &Surface,
         numbers: &mut [u32; N_SLOTS],
         out: &mut std::slice::IterMut<'_, Point3<f64>>,
     ) {
         let volume = self.grid.volume;
-        let (coord, (around, _)) = (volume.coords()[block], &self.grid.around[block]);
-        let surface = &self.surfaces[block];
+        let coord = volume.coords()[above[0] as usize];
+        if surface.n_vertices == 0 {
+            return;
+        }
+        // All of the distances' cache lines are asked for at once: the edges would wait for one after the other.
+        let lines = volume.blocks()[above[0] as usize].tsdf.iter().step_by(32);
+        std::hint::black_box(lines.fold(0, |all, distance| all ^ distance));
         let mut number = surface.first_vertex;
         for (axis, mask) in surface.edges.iter().enumerate() {
             for (z, &word) in mask.iter().enumerate() {
                 for (bit, out) in bits(word).zip(&mut *out) {
                     let low = [bit & 7, bit >> 3, z];
-                    *out = place_on_edge(volume, coord, around, axis, low);
+                    *out = place_on_edge(volume, coord, above, axis, low);
                     numbers[slot(axis, low)] = number;
                     number += 1;
                 }
@@ -234,31 +320,42 @@ impl Writing<'_> {
     #[inline(always)]
     fn connect(
         &self,
-        block: usize,
+        Crossed { above, cubes, .. }: &Crossed,
         numbers: &mut [u32; N_SLOTS],
+        patterns: &mut std::slice::Iter<'_, u8>,
         out: &mut std::slice::IterMut<'_, [u32; 3]>,
     ) {
-        let (around, cubes) = &self.grid.around[block];
-        if !cubes.any_crossed() {
+        if *cubes == NOTHING {
             return;
         }
-        for (side, &above) in around.up.iter().enumerate().skip(1) {
-            if let Some(surface) = self.surfaces.get(above as usize) {
+        for (side, &above) in above.iter().enumerate().skip(1) {
+            if reach(cubes, side)
+                && let Some(surface) = self.grid.get(|task| &self.surfaces[task][..], above)
+            {
                 surface.number(side, numbers);
             }
         }
-        let (corners, cases) = (Corners::of(self.grid.voxels, around), cases());
-        for (z, &word) in cubes.0.iter().enumerate() {
-            for bit in bits(word) {
+        let cases = cases();
+        for (z, &word) in cubes.iter().enumerate() {
+            for (bit, &pattern) in bits(word).zip(&mut *patterns) {
                 let lowest = slot(0, [bit & 7, bit >> 3, z]);
                 let number = |edge: u8| numbers[lowest + EDGE_SLOTS[edge as usize] as usize];
-                let triangles = cases[corners.pattern(z, bit)].triangles();
-                for (triangle, out) in triangles.iter().zip(&mut *out) {
-                    *out = triangle.map(number);
+                let triangles = cases[pattern as usize].triangles();
+                for (&[a, b, c], out) in triangles.iter().zip(&mut *out) {
+                    // `map` of the three is a call, through memory.
+                    *out = [number(a), number(b), number(c)];
                 }
             }
         }
     }
+}
+
+/// Whether some of a block's cubes touch the block above it on a side.
+#[inline(always)]
+fn reach(cubes: &Mask, side: usize) -> bool {
+    let first = if side >> 2 & 1 == 1 { SLABS - 1 } else { 0 };
+    let any = cubes[first..].iter().fold(0, |any, word| any | word);
+    any & LAST_LAYERS[side & 3] != 0
 }
 
 /// The lower voxel of an edge of the cube whose lowest voxel is `low` of a block: of that block or of the layer above it.
@@ -268,7 +365,7 @@ pub fn edge_low([x, y, z]: [usize; 3], edge: u8) -> [usize; 3] {
     [x + dx, y + dy, z + dz]
 }
 
-/// Which of the blocks upwards a voxel of a block or of the layer above it belongs to: see [`Neighbours`].
+/// Which of the blocks upwards a voxel of a block or of the layer above it belongs to: see [`Octant`].
 #[inline(always)]
 fn side_of([x, y, z]: [usize; 3]) -> usize {
     x >> 3 | y >> 3 << 1 | z >> 3 << 2
@@ -280,28 +377,25 @@ fn side_of([x, y, z]: [usize; 3]) -> usize {
 pub fn place_on_edge(
     volume: &TsdfVolume,
     coord: BlockCoord,
-    around: &Neighbours,
+    above: &Octant,
     axis: usize,
     low: [usize; 3],
 ) -> Point3<f64> {
     // No place in memory that `axis` would choose: it is known late.
     let high = [0, 1, 2].map(|k| low[k] + usize::from(k == axis));
-    let (a, b) = (
-        distance(volume, around, low),
-        distance(volume, around, high),
-    );
+    let (a, b) = (distance(volume, above, low), distance(volume, above, high));
     let (along, voxel) = (a / (a - b), f64::from(volume.voxel_size_m()));
-    let place = [0, 1, 2].map(|k| {
+    let place = |k: usize| {
         let low = f64::from(coord[k] * BLOCK_SIDE + low[k] as i32);
         (low + if k == axis { along } else { 0.0 }) * voxel
-    });
-    Point3::from(place)
+    };
+    Point3::new(place(0), place(1), place(2))
 }
 
 /// The raw distance of a voxel of a block or of the layer above it.
 #[inline(always)]
-fn distance(volume: &TsdfVolume, around: &Neighbours, [x, y, z]: [usize; 3]) -> f64 {
-    let block = around.up[side_of([x, y, z])] as usize;
+fn distance(volume: &TsdfVolume, above: &Octant, [x, y, z]: [usize; 3]) -> f64 {
+    let block = above[side_of([x, y, z])] as usize;
     debug_assert!(block != NONE as usize, "both ends of an edge were seen");
     let index = voxel_index([x as i32 & 7, y as i32 & 7, z as i32 & 7]);
     f64::from(volume.blocks()[block].tsdf[index % BLOCK_VOXELS])

@@ -4,7 +4,7 @@
 //! know by the same [`LatticeEdge`], even where they were extracted at different times and have it in different places.
 
 use super::block::{BLOCK_SIDE, BlockCoord};
-use super::block_masks::{Corners, Cubes, Neighbours, Voxels, bits};
+use super::block_masks::{Corners, NOTHING, Octant, Voxels, bits};
 use super::cube_cases::{EDGE_SLOTS, N_SLOTS, cases, slot};
 use super::marching_cubes::{edge_low, place_on_edge};
 use super::volume::TsdfVolume;
@@ -56,12 +56,12 @@ const UNPLACED: u16 = u16::MAX;
 pub struct Renewal<'a> {
     /// The volume.
     pub volume: &'a TsdfVolume,
-    /// The voxels of all blocks, as they are now around the blocks.
+    /// The voxels of all blocks, as they are now in the blocks and above them.
     pub voxels: &'a [Voxels],
     /// What the patches were, to be replaced.
     pub patches: &'a mut [SurfacePatch],
-    /// The blocks around the block of each.
-    pub around: &'a [Neighbours],
+    /// The block of each, and those above it.
+    pub above: &'a [Octant],
 }
 
 impl WithSimd for Renewal<'_> {
@@ -70,8 +70,8 @@ impl WithSimd for Renewal<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let mut extraction = Extraction::new(self.volume, self.voxels);
-        for (patch, around) in self.patches.iter_mut().zip(self.around) {
-            extraction.renew(patch, around);
+        for (patch, above) in self.patches.iter_mut().zip(self.above) {
+            extraction.renew(patch, above);
         }
     }
 }
@@ -98,29 +98,30 @@ impl<'a> Extraction<'a> {
 
     /// Puts the surface in a block's cubes in the place of what the patch was, with the room that it needs.
     #[inline(always)]
-    fn renew(&mut self, patch: &mut SurfacePatch, around: &Neighbours) {
-        self.extract(patch, around);
+    fn renew(&mut self, patch: &mut SurfacePatch, above: &Octant) {
+        self.extract(patch, above);
         fit(&mut patch.mesh.vertices);
         fit(&mut patch.mesh.faces);
         fit(&mut patch.rim);
     }
 
     #[inline(always)]
-    fn extract(&mut self, patch: &mut SurfacePatch, around: &Neighbours) {
+    fn extract(&mut self, patch: &mut SurfacePatch, above: &Octant) {
         let SurfacePatch { mesh: patch, rim } = patch;
         patch.vertices.clear();
         patch.faces.clear();
         rim.clear();
-        let coord = self.volume.coords()[around.up[0] as usize];
-        let cubes = Cubes::of(self.voxels, around);
-        if !cubes.any_crossed() {
+        let coord = self.volume.coords()[above[0] as usize];
+        let corners = Corners::of(self.voxels, above);
+        let cubes = corners.crossed_cubes(self.voxels, above);
+        if cubes == NOTHING {
             return;
         }
-        let (corners, cases) = (Corners::of(self.voxels, around), cases());
-        for (z, &word) in cubes.0.iter().enumerate() {
+        let cases = cases();
+        for (z, &word) in cubes.iter().enumerate() {
             for bit in bits(word) {
                 let low = [bit & 7, bit >> 3, z];
-                for triangle in cases[corners.pattern(z, bit)].triangles() {
+                for triangle in cases[corners.pattern(z, bit) as usize].triangles() {
                     let mut face = [0; 3];
                     for (vertex, &edge) in face.iter_mut().zip(triangle) {
                         let slot = slot(0, low) + EDGE_SLOTS[edge as usize] as usize;
@@ -133,7 +134,7 @@ impl<'a> Extraction<'a> {
                                 let vertex = patch.vertices.len() as u32;
                                 rim.push((vertex, LatticeEdge::new(coord, axis, low)));
                             }
-                            let place = place_on_edge(self.volume, coord, around, axis, low);
+                            let place = place_on_edge(self.volume, coord, above, axis, low);
                             patch.vertices.push(place);
                         }
                         *vertex = u32::from(*known);
@@ -159,6 +160,7 @@ fn fit<T>(values: &mut Vec<T>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fusion::block_masks::blocks_above;
     use crate::fusion::each_block::{Reading, each};
     use crate::fusion::marching_cubes::marching_cubes;
     use crate::fusion::sampling::tests::volume_of;
@@ -177,15 +179,13 @@ mod tests {
         let arch = Arch::new();
         let voxels = each(arch, blocks.len(), &reading);
         let coords = volume.coords().iter();
-        let around: Vec<Neighbours> = coords
-            .map(|coord| Neighbours::of(&volume, *coord))
-            .collect();
+        let above: Vec<Octant> = coords.map(|coord| blocks_above(&volume, *coord)).collect();
         let mut patches = vec![SurfacePatch::default(); blocks.len()];
         arch.dispatch(Renewal {
             volume: &volume,
             voxels: &voxels,
             patches: &mut patches,
-            around: &around,
+            above: &above,
         });
         let (mut place_of, mut n_shared) = (HashMap::new(), 0);
         let mut n_vertices = 0;
