@@ -2,6 +2,8 @@
 
 use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BRICK_VOXELS, Block, BlockCoord, WEIGHT_ONE};
 use super::volume::TsdfVolume;
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
 
 /// Slabs of a block.
 pub const SLABS: usize = BLOCK_SIDE as usize;
@@ -14,6 +16,8 @@ const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
 pub const LAYERS: [u64; 4] = [!0, FIRST_COLUMN, 0xFF, 1];
 /// The bits with x = 7 where bit 0 of the index is set, and with y = 7 where bit 1 is.
 pub const LAST_LAYERS: [u64; 4] = [!0, FIRST_COLUMN << 7, 0xFF << 56, 1 << 63];
+/// Blocks that one task works on, of those that are worked on in parallel.
+pub const TASK_BLOCKS: usize = 256;
 /// No block.
 pub const NONE: u32 = u32::MAX;
 
@@ -64,6 +68,27 @@ impl Signs {
 }
 
 impl Voxels {
+    /// Reads some blocks; voxels of less than `min_weight` do not count as seen.
+    pub fn of_blocks(
+        arch: Arch,
+        volume: &TsdfVolume,
+        blocks: &[u32],
+        min_weight: f32,
+    ) -> Vec<Voxels> {
+        let mut all = vec![Voxels::default(); blocks.len()];
+        let tasks = all.par_chunks_mut(TASK_BLOCKS);
+        let tasks = tasks.zip(blocks.par_chunks(TASK_BLOCKS));
+        tasks.for_each(|(voxels, blocks)| {
+            arch.dispatch(Reading {
+                volume,
+                blocks,
+                min_weight,
+                voxels,
+            });
+        });
+        all
+    }
+
     /// Which signs its distances have.
     #[inline(always)]
     pub fn signs(&self) -> Signs {
@@ -74,9 +99,9 @@ impl Voxels {
         Signs(u8::from(inside != 0) | u8::from(outside != 0) << 1)
     }
 
-    /// Reads a block; voxels of less than `min_weight` do not count as seen.
+    /// Reads a block.
     #[inline(always)]
-    pub fn of(block: &Block, min_weight: f32) -> Self {
+    fn of(block: &Block, min_weight: f32) -> Self {
         let least = (min_weight * WEIGHT_ONE).ceil().max(1.0) as u16;
         // Loops over the whole block, which the compiler turns into vector code, where it would unroll shorter ones.
         let (mut is_seen, mut is_inside) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
@@ -99,6 +124,25 @@ impl Voxels {
             }
         }
         voxels
+    }
+}
+
+/// Reads the voxels of one task's blocks.
+struct Reading<'a> {
+    volume: &'a TsdfVolume,
+    blocks: &'a [u32],
+    min_weight: f32,
+    voxels: &'a mut [Voxels],
+}
+
+impl WithSimd for Reading<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (voxels, &block) in self.voxels.iter_mut().zip(self.blocks) {
+            *voxels = Voxels::of(&self.volume.blocks()[block as usize], self.min_weight);
+        }
     }
 }
 

@@ -10,8 +10,7 @@
 //! nothing apart.
 
 use super::Fusion;
-use super::block_masks::{Octant, Voxels, blocks_above, blocks_below};
-use super::each_block::{Reading, TASK_BLOCKS, each};
+use super::block_masks::{Octant, TASK_BLOCKS, Voxels, blocks_above, blocks_below};
 use super::surface_patch::{Renewal, SurfacePatch};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
@@ -132,12 +131,8 @@ impl Fusion {
                 changed.push(block);
             }
         }
-        let reading = Reading {
-            volume: &self.volume,
-            blocks: &changed,
-            min_weight: self.params.min_surface_weight as f32,
-        };
-        let voxels = each(self.eye.arch, changed.len(), &reading);
+        let min_weight = self.params.min_surface_weight as f32;
+        let voxels = Voxels::of_blocks(self.eye.arch, &self.volume, &changed, min_weight);
         for (&block, voxels) in changed.iter().zip(voxels) {
             live.voxels[block as usize] = voxels;
         }

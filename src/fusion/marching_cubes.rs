@@ -1,17 +1,16 @@
 //! Marching cubes (Lorensen and Cline 1987) over the sparse volume.
 //!
-//! Crossed cubes and edges are found 64 at a time in bit masks, in the blocks that have both signs about them alone. Every crossed
-//! edge belongs to the block of its lower voxel and carries one vertex, whose number is that of the crossed edges before it, so
+//! Crossed cubes and edges are found 64 at a time in bit masks: see [`Crossings`]. Every crossed edge belongs to the block of its lower voxel and carries one vertex, whose number is that of the crossed edges before it, so
 //! that cubes share vertices without a search. Blocks are worked on in parallel, and their parts put together in the order of
 //! allocation.
 
 use super::block::{BLOCK_SIDE, BLOCK_VOXELS, BlockCoord, voxel_index};
 use super::block_masks::{
-    Corners, LAST_LAYERS, LAYERS, Mask, NONE, NOTHING, Octant, SLABS, Signs, Voxels, bits,
-    blocks_above, blocks_below, edges_of_cubes,
+    LAST_LAYERS, LAYERS, Mask, NONE, NOTHING, Octant, SLABS, Voxels, bits, blocks_below,
+    edges_of_cubes,
 };
+use super::crossings::{Crossed, Crossings, Found};
 use super::cube_cases::{EDGE_CORNERS, EDGE_SLOTS, N_SLOTS, cases, corner_place, slot};
-use super::each_block::{Reading, TASK_BLOCKS, each};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
 use nalgebra::Point3;
@@ -23,106 +22,14 @@ use rayon::prelude::*;
 // A symbol of its own, by which tests/bench/instructions.sh counts.
 #[inline(never)]
 pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMesh {
-    let n_blocks = volume.blocks().len();
-    let all: Vec<u32> = (0..n_blocks as u32).collect();
-    let reading = Reading {
-        volume,
-        blocks: &all,
-        min_weight,
-    };
-    let voxels = each(arch, n_blocks, &reading);
-    let signs: Vec<Signs> = voxels.par_iter().map(Voxels::signs).collect();
-    let mut place_of = vec![NO_PLACE; n_blocks];
-    let tasks = place_of.par_chunks_mut(TASK_BLOCKS).enumerate();
-    let found = tasks.map(|(task, place_of)| {
-        arch.dispatch(Finding {
-            volume,
-            voxels: &voxels,
-            signs: &signs,
-            first: (task * TASK_BLOCKS) as u32,
-            place_of,
-        })
-    });
+    let blocks: Vec<u32> = (0..volume.blocks().len() as u32).collect();
+    let voxels = Voxels::of_blocks(arch, volume, &blocks, min_weight);
     let grid = Grid {
         volume,
-        found: found.collect(),
-        place_of,
+        crossings: Crossings::of(arch, volume, &voxels),
     };
     let surfaces = numbered(grid.surfaces(arch));
     grid.mesh(arch, &surfaces)
-}
-
-/// The block has nothing that the surface crosses.
-const NO_PLACE: u16 = u16::MAX;
-
-/// What the surface crosses in one task's blocks, where it crosses something.
-struct Found {
-    blocks: Vec<Crossed>,
-    /// Patterns of the crossed cubes.
-    patterns: Vec<u8>,
-}
-
-/// What the surface crosses in a block.
-struct Crossed {
-    /// The block, and those above it.
-    above: Octant,
-    /// Cubes, at the bits of their lowest voxels.
-    cubes: Mask,
-    /// Edges, used or not, by axis, at the bits of their lower voxels.
-    edges: [Mask; 3],
-    n_faces: u32,
-}
-
-/// Finds what the surface crosses in one task's blocks.
-struct Finding<'a> {
-    volume: &'a TsdfVolume,
-    /// Of all blocks.
-    voxels: &'a [Voxels],
-    signs: &'a [Signs],
-    /// The first of the blocks.
-    first: u32,
-    /// Where each of them stands among those found.
-    place_of: &'a mut [u16],
-}
-
-impl WithSimd for Finding<'_> {
-    type Output = Found;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Found {
-        let cases = cases();
-        let (mut blocks, mut patterns) = (Vec::new(), Vec::new());
-        for (block, place) in (self.first..).zip(self.place_of) {
-            let above = blocks_above(self.volume, self.volume.coords()[block as usize]);
-            let signs = |block: u32| self.signs.get(block as usize).copied();
-            let signs = above.into_iter().filter_map(signs);
-            if signs.fold(Signs::default(), Signs::and) != Signs::BOTH {
-                continue;
-            }
-            let corners = Corners::of(self.voxels, &above);
-            let edges = corners.crossed_edges();
-            let cubes = corners.crossed_cubes(self.voxels, &above);
-            if edges == [NOTHING; 3] && cubes == NOTHING {
-                continue;
-            }
-            let mut n_faces = 0;
-            for (z, &word) in cubes.iter().enumerate() {
-                for bit in bits(word) {
-                    let pattern = corners.pattern(z, bit);
-                    n_faces += cases[pattern as usize].n_triangles() as u32;
-                    patterns.push(pattern);
-                }
-            }
-            *place = blocks.len() as u16;
-            blocks.push(Crossed {
-                above,
-                cubes,
-                edges,
-                n_faces,
-            });
-        }
-        Found { blocks, patterns }
-    }
 }
 
 /// The vertices on a block's edges and the faces in its cubes.
@@ -179,31 +86,19 @@ fn numbered(mut surfaces: Vec<Vec<Surface>>) -> Vec<Vec<Surface>> {
     surfaces
 }
 
-/// What the surface crosses.
+/// The volume, and what the surface crosses of it.
 struct Grid<'a> {
     volume: &'a TsdfVolume,
-    /// By tasks.
-    found: Vec<Found>,
-    /// Where each of all blocks stands among its task's; [`NO_PLACE`] where it does not.
-    place_of: Vec<u16>,
+    crossings: Crossings,
 }
 
 /// Vertices and faces of a task's blocks, to be filled in.
 type Part<'a> = (&'a mut [Point3<f64>], &'a mut [[u32; 3]]);
 
 impl Grid<'_> {
-    /// Something of a block, of that of all tasks' blocks in which the surface crosses something.
-    #[inline(always)]
-    fn get<'a, T>(&self, of_task: impl Fn(usize) -> &'a [T], block: u32) -> Option<&'a T> {
-        // Where there is no block, the number lies beyond all blocks.
-        let block = block as usize;
-        let place = *self.place_of.get(block)?;
-        of_task(block / TASK_BLOCKS).get(place as usize)
-    }
-
-    /// Those of all tasks.
+    /// Those of all tasks, not yet numbered.
     fn surfaces(&self, arch: Arch) -> Vec<Vec<Surface>> {
-        let tasks = self.found.par_iter();
+        let tasks = self.crossings.tasks.par_iter();
         let surfaces = tasks.map(|Found { blocks, .. }| {
             arch.dispatch(
                 #[inline(always)]
@@ -217,8 +112,10 @@ impl Grid<'_> {
     fn surface(&self, crossed: &Crossed) -> Surface {
         let coord = self.volume.coords()[crossed.above[0] as usize];
         let below = blocks_below(self.volume, coord).map(|below| {
-            let below = self.get(|task| &self.found[task].blocks, below);
-            below.map_or(&NOTHING, |below| &below.cubes)
+            let below = self.crossings.place(below);
+            below.map_or(&NOTHING, |(task, place)| {
+                &self.crossings.tasks[task].blocks[place].cubes
+            })
         });
         let mut surface = Surface {
             edges: edges_of_cubes(&crossed.edges, below),
@@ -274,7 +171,7 @@ impl WithSimd for Writing<'_> {
     fn with_simd<S: Simd>(mut self, _: S) {
         let (vertices, faces) = std::mem::take(&mut self.part);
         let (mut vertices, mut faces) = (vertices.iter_mut(), faces.iter_mut());
-        let Found { blocks, patterns } = &self.grid.found[self.task];
+        let Found { blocks, patterns } = &self.grid.crossings.tasks[self.task];
         let mut patterns = patterns.iter();
         let mut numbers = [0; N_SLOTS];
         for (block, surface) in blocks.iter().zip(&self.surfaces[self.task]) {
@@ -330,9 +227,9 @@ impl Writing<'_> {
         }
         for (side, &above) in above.iter().enumerate().skip(1) {
             if reach(cubes, side)
-                && let Some(surface) = self.grid.get(|task| &self.surfaces[task][..], above)
+                && let Some((task, place)) = self.grid.crossings.place(above)
             {
-                surface.number(side, numbers);
+                self.surfaces[task][place].number(side, numbers);
             }
         }
         let cases = cases();

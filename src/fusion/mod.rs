@@ -62,8 +62,8 @@ mod rolling_shutter;
 #[cfg(test)]
 pub(crate) mod bench_tests;
 mod block_masks;
+mod crossings;
 mod cube_cases;
-mod each_block;
 mod live_mesh;
 mod locate;
 mod marching_cubes;

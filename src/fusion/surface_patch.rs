@@ -161,7 +161,6 @@ fn fit<T>(values: &mut Vec<T>) {
 mod tests {
     use super::*;
     use crate::fusion::block_masks::blocks_above;
-    use crate::fusion::each_block::{Reading, each};
     use crate::fusion::marching_cubes::marching_cubes;
     use crate::fusion::sampling::tests::volume_of;
     use pulp::Arch;
@@ -171,13 +170,8 @@ mod tests {
     fn patches_meet_in_the_vertices_on_the_same_edges_and_nowhere_else() {
         let volume = volume_of(0.01, |x, y, z| (x * x + y * y).sqrt() - 0.02013 + 0.31 * z);
         let blocks: Vec<u32> = (0..volume.blocks().len() as u32).collect();
-        let reading = Reading {
-            volume: &volume,
-            blocks: &blocks,
-            min_weight: 1.0,
-        };
         let arch = Arch::new();
-        let voxels = each(arch, blocks.len(), &reading);
+        let voxels = Voxels::of_blocks(arch, &volume, &blocks, 1.0);
         let coords = volume.coords().iter();
         let above: Vec<Octant> = coords.map(|coord| blocks_above(&volume, *coord)).collect();
         let mut patches = vec![SurfacePatch::default(); blocks.len()];
