@@ -116,15 +116,16 @@ impl CameraModel {
     /// Normalised coordinates (X/Z, Y/Z) of a pixel, by Newton's method; `None` where the lens has no such ray.
     pub fn unproject(&self, u: f64, v: f64) -> Option<Vector2<f64>> {
         let i = &self.intrinsics;
+        let off = |ray: &Vector2<f64>| self.distort(ray.x, ray.y) - Vector2::new(u, v);
         let mut ray = Vector2::new((u - i.cx) / i.fx, (v - i.cy) / i.fy);
+        let mut error = off(&ray);
         for _ in 0..20 {
-            let error = self.distort(ray.x, ray.y) - Vector2::new(u, v);
             if error.norm() < 1e-9 {
                 break;
             }
             ray -= self.distortion_jacobian(ray.x, ray.y).try_inverse()? * error;
+            error = off(&ray);
         }
-        let error = self.distort(ray.x, ray.y) - Vector2::new(u, v);
         (error.norm() < 1e-6 && ray.norm_squared() <= self.max_radius_squared).then_some(ray)
     }
 

@@ -108,10 +108,15 @@ fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {
         snapshot.frame_id, snapshot.device_time_secs
     );
     let ir = &snapshot.ir_counts;
-    let mut sorted = ir.data().to_vec();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let index = (sorted.len() as f64 * (1.0 - WHITE_SHARE)) as usize;
-    let white = sorted.get(index).copied().unwrap_or(1.0).max(1.0);
+    let mut counts = ir.data().to_vec();
+    let index = (counts.len() as f64 * (1.0 - WHITE_SHARE)) as usize;
+    let white = match counts.is_empty() {
+        true => 1.0,
+        false => counts
+            .select_nth_unstable_by(index, f32::total_cmp)
+            .1
+            .max(1.0),
+    };
     let grey = |&counts: &f32| (255.0 * (counts / white).clamp(0.0, 1.0)) as u8;
     (caption, ir.map(grey))
 }

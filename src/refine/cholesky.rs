@@ -15,7 +15,7 @@ use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::triangular_solve::{
     solve_lower_triangular_in_place, solve_upper_triangular_in_place,
 };
-use faer::{Accum, Mat, MatMut, MatRef, Par};
+use faer::{Accum, ColMut, ColRef, Mat, MatMut, MatRef, Par};
 use nalgebra::Point3;
 use std::ops::Range;
 
@@ -232,24 +232,29 @@ struct Entries<'a> {
     of_pairs: &'a [f64],
 }
 
+/// The values of a column of a matrix that is kept column by column.
+fn values_of(column: ColRef<'_, f64>) -> &[f64] {
+    let column = column.try_as_col_major();
+    column.expect("kept column by column").as_slice()
+}
+
+/// The same for writing.
+fn values_of_mut(column: ColMut<'_, f64>) -> &mut [f64] {
+    let column = column.try_as_col_major_mut();
+    column.expect("kept column by column").as_slice_mut()
+}
+
 /// Adds the lower half of a child's update to the front's own columns and to its update.
 fn add_lower(theirs: &Mat<f64>, rows: &[u32], own: &mut MatMut<'_, f64>, update: &mut Mat<f64>) {
     let n = own.ncols();
     for (j, &column) in rows.iter().enumerate() {
         let column = column as usize;
-        let from = theirs
-            .col(j)
-            .try_as_col_major()
-            .expect("own columns")
-            .as_slice();
+        let from = values_of(theirs.col(j));
         let (to, first) = match column < n {
             true => (own.as_mut().col_mut(column), 0),
             false => (update.col_mut(column - n), n),
         };
-        let to = to
-            .try_as_col_major_mut()
-            .expect("own columns")
-            .as_slice_mut();
+        let to = values_of_mut(to);
         for (&row, value) in rows[j..].iter().zip(&from[j..]) {
             to[row as usize - first] += value;
         }
@@ -444,9 +449,14 @@ impl Factor<'_> {
         known.as_mut().submatrix_mut(n, n, m, m).copy_from(boundary);
         let theirs = |child: usize| {
             let rows = &self.analysis.nodes[child].in_parent;
-            Mat::from_fn(rows.len(), rows.len(), |i, j| {
-                known[(rows[i] as usize, rows[j] as usize)]
-            })
+            let mut theirs = Mat::zeros(rows.len(), rows.len());
+            for (j, &column) in rows.iter().enumerate() {
+                let from = values_of(known.col(column as usize));
+                for (to, &row) in values_of_mut(theirs.col_mut(j)).iter_mut().zip(rows) {
+                    *to = from[row as usize];
+                }
+            }
+            theirs
         };
         self.analysis.both(
             node,

@@ -1,9 +1,11 @@
 //! Which displacements meet in the normal matrix: those of every edge of the mesh, and those of every two vertices that
 //! stand for the same patch.
 
+use super::energy::TILE;
 use super::patches::Patch;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use rayon::prelude::*;
+use std::iter::Sum;
 
 /// The off-diagonal entries of the normal matrix and where each term finds its own.
 #[derive(Clone, Debug)]
@@ -16,6 +18,53 @@ pub struct Couplings {
     pub of_faces: Vec<[u32; 3]>,
     /// Entries of all pairs within each patch: second with first, third with first, third with second, …
     pub of_patches: Vec<Vec<u32>>,
+    /// What meets in each vertex.
+    pub corners: VertexCorners,
+}
+
+/// The corners of faces that meet in each vertex.
+#[derive(Clone, Debug)]
+pub struct VertexCorners {
+    starts: Vec<u32>,
+    /// Three times the face and the corner, in rising order for each vertex.
+    corners: Vec<u32>,
+}
+
+impl VertexCorners {
+    fn new(mesh: &TriMesh) -> VertexCorners {
+        let n_vertices = mesh.vertices.len();
+        let mut starts = vec![0; n_vertices + 1];
+        let vertices = mesh.faces.as_flattened();
+        for &vertex in vertices {
+            starts[vertex as usize + 1] += 1;
+        }
+        for vertex in 0..n_vertices {
+            starts[vertex + 1] += starts[vertex];
+        }
+        let mut next = starts.clone();
+        let mut corners = vec![0; vertices.len()];
+        for (corner, &vertex) in (0..).zip(vertices) {
+            let next = &mut next[vertex as usize];
+            corners[*next as usize] = corner;
+            *next += 1;
+        }
+        VertexCorners { starts, corners }
+    }
+
+    /// Face and corner of those at a vertex, in rising order.
+    #[inline]
+    pub fn of(&self, vertex: usize) -> impl Iterator<Item = [usize; 2]> {
+        let corners = self.starts[vertex] as usize..self.starts[vertex + 1] as usize;
+        let corners = self.corners[corners].iter();
+        corners.map(|&corner| [corner as usize / 3, corner as usize % 3])
+    }
+
+    /// Sums of a value of each face over the faces around each vertex, in the order of the faces.
+    pub fn sums<T: Sum + Send>(&self, of_face: impl Fn(usize) -> T + Sync) -> Vec<T> {
+        let vertices = (0..self.starts.len() - 1).into_par_iter();
+        let sum = |vertex| self.of(vertex).map(|[face, _]| of_face(face)).sum();
+        vertices.with_min_len(TILE).map(sum).collect()
+    }
 }
 
 impl Couplings {
@@ -49,6 +98,7 @@ impl Couplings {
             of_edges,
             of_faces,
             of_patches,
+            corners: VertexCorners::new(mesh),
         }
     }
 }

@@ -200,7 +200,7 @@ impl Problem<'_> {
         match self.sites {
             SiteKind::Face => self.add_faces(surface, albedos, couplings, &mut matrix),
             SiteKind::Vertex => {
-                let system = VertexSystem::new(self, surface, albedos);
+                let system = VertexSystem::new(self, surface, albedos, &couplings.corners);
                 system.add_bound(self, couplings, &mut matrix);
                 matrix.at_vertices = Some(system);
             }

@@ -89,7 +89,7 @@ impl Pattern {
         };
         let times = |x: &Step| {
             let mut product = problem.prior_times(&x.displacement);
-            system.add_times(&x.displacement, &mut product);
+            system.add_times(&self.couplings.corners, &x.displacement, &mut product);
             let pairs = matrix.diagonal.iter().zip(&x.displacement);
             for (product, (diagonal, x)) in product.iter_mut().zip(pairs) {
                 *product += damping * diagonal * x;

@@ -8,7 +8,7 @@
 //! weights. The bound is right for what
 //! is wider than a ring and too stiff for what is not; a few conjugate gradients make up for that.
 
-use super::couplings::Couplings;
+use super::couplings::{Couplings, VertexCorners};
 use super::energy::{NormalMatrix, Problem, Surface, TILE, area_vector_by_displacement};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -59,15 +59,22 @@ struct FaceBound {
 
 impl VertexSystem {
     /// Sums what the views say about a surface and the groups' albedos, robust weights held.
-    pub fn new(problem: &Problem, surface: &Surface, albedos: &[f64]) -> VertexSystem {
+    pub fn new(
+        problem: &Problem,
+        surface: &Surface,
+        albedos: &[f64],
+        corners: &VertexCorners,
+    ) -> VertexSystem {
         let mesh = &surface.mesh;
         let n_vertices = mesh.vertices.len();
         let n_faces = mesh.faces.len();
-        let least = MIN_SIZE * 2.0 * mesh.area_m2() / n_faces.max(1) as f64;
-        let size = |face| mesh.face_normal(face).norm().max(least);
-        let sizes: Vec<f64> = (0..n_faces).map(size).collect();
-        let along = mesh.sums_at_vertices(Vector3::zeros(), |face| mesh.face_normal(face));
-        let rings = mesh.sums_at_vertices(0.0, |face| sizes[face]);
+        let faces = (0..n_faces).into_par_iter().with_min_len(TILE);
+        let normals: Vec<Vector3<f64>> = faces.clone().map(|face| mesh.face_normal(face)).collect();
+        let sizes: Vec<f64> = normals.par_iter().map(Vector3::norm).collect();
+        let least = MIN_SIZE * sizes.iter().sum::<f64>() / n_faces.max(1) as f64;
+        let sizes: Vec<f64> = sizes.into_iter().map(|size| size.max(least)).collect();
+        let along = corners.sums(|face| normals[face]);
+        let rings = corners.sums(|face| sizes[face]);
         let vertices = (0..n_vertices).into_par_iter().with_min_len(TILE);
         let terms = vertices.map(|vertex| {
             let is_seen = !problem.observations.of(vertex).is_empty();
@@ -80,7 +87,6 @@ impl VertexSystem {
                 }
             })
         });
-        let faces = (0..n_faces).into_par_iter().with_min_len(TILE);
         VertexSystem {
             faces: mesh.faces.clone(),
             sizes,
@@ -151,34 +157,31 @@ impl VertexSystem {
     }
 
     /// Adds the product of the data term's own matrix with displacements `x`.
-    pub fn add_times(&self, x: &[f64], product: &mut [f64]) {
-        let of = |values: &[f64], face: &[u32; 3]| Vector3::from(face.map(|v| values[v as usize]));
+    pub fn add_times(&self, corners: &VertexCorners, x: &[f64], product: &mut [f64]) {
         let faces = self.faces.par_iter().zip(&self.by_corners);
-        let turned: Vec<Vector3<f64>> = faces.map(|(face, by)| by * of(x, face)).collect();
-        let mut changes = vec![Vector3::zeros(); x.len()];
-        for (face, change) in self.faces.iter().zip(&turned) {
-            for &vertex in face {
-                changes[vertex as usize] += change;
-            }
-        }
-        let vertices = changes.par_iter_mut().zip(&self.terms);
-        let vertices = vertices.zip(x.par_iter().zip(product.par_iter_mut()));
-        vertices.for_each(|((change, terms), (x, product))| {
-            let by_size = *change * terms.inv_size;
+        let turned = faces
+            .map(|(&[a, b, c], by)| by * Vector3::new(x[a as usize], x[b as usize], x[c as usize]));
+        let turned: Vec<Vector3<f64>> = turned.collect();
+        let vertices = product.par_iter_mut().zip(x).zip(&self.terms);
+        let changes = vertices.enumerate().with_min_len(TILE);
+        let changes = changes.map(|(vertex, ((product, x), terms))| {
+            let change: Vector3<f64> = corners.of(vertex).map(|[face, _]| turned[face]).sum();
+            let by_size = change * terms.inv_size;
             *product += terms.by_both.dot(&by_size) + terms.by_displacement * x;
-            *change = (terms.by_normal * by_size + terms.by_both * *x) * terms.inv_size;
+            (terms.by_normal * by_size + terms.by_both * *x) * terms.inv_size
         });
+        let changes: Vec<Vector3<f64>> = changes.collect();
         let faces = self.faces.par_iter().zip(&self.by_corners);
-        let backwards = faces.map(|(face, by)| {
-            let [a, b, c] = face.map(|vertex| changes[vertex as usize]);
-            by.tr_mul(&(a + b + c))
+        let backwards = faces.map(|(&[a, b, c], by)| {
+            by.tr_mul(&(changes[a as usize] + changes[b as usize] + changes[c as usize]))
         });
         let backwards: Vec<Vector3<f64>> = backwards.collect();
-        for (face, back) in self.faces.iter().zip(&backwards) {
-            for (&vertex, back) in face.iter().zip(back) {
-                product[vertex as usize] += back;
+        let vertices = product.par_iter_mut().enumerate().with_min_len(TILE);
+        vertices.for_each(|(vertex, product)| {
+            for [face, corner] in corners.of(vertex) {
+                *product += backwards[face][corner];
             }
-        }
+        });
     }
 }
 
@@ -297,7 +300,7 @@ mod tests {
         let prior = problem.prior_matrix(&surface.total_m, &couplings);
         for x in directions(&surface) {
             let mut data = vec![0.0; x.len()];
-            system.add_times(&x, &mut data);
+            system.add_times(&couplings.corners, &x, &mut data);
             let steps = |by: f64| -> Vec<f64> { x.iter().map(|x| by * x).collect() };
             let gradient = |by: f64| linearise(&surface.displaced(&steps(by))).gradient;
             let (back, forth) = (gradient(-1e-8), gradient(1e-8));
