@@ -55,6 +55,8 @@ pub struct Found {
     pub blocks: Vec<Crossed>,
     /// Patterns of their crossed cubes, slab by slab.
     pub patterns: Vec<u8>,
+    /// Faces in these cubes.
+    pub n_faces: usize,
 }
 
 /// What the surface crosses in a block.
@@ -65,8 +67,6 @@ pub struct Crossed {
     pub cubes: Mask,
     /// Edges, used or not, by axis, at the bits of their lower voxels.
     pub edges: [Mask; 3],
-    /// Faces in its cubes.
-    pub n_faces: u32,
 }
 
 /// Finds what the surface crosses in one task's blocks.
@@ -87,7 +87,7 @@ impl WithSimd for Finding<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Found {
         let cases = cases();
-        let (mut blocks, mut patterns) = (Vec::new(), Vec::new());
+        let (mut blocks, mut patterns, mut n_faces) = (Vec::new(), Vec::new(), 0);
         for (block, place) in (self.first..).zip(self.place_of) {
             let above = blocks_above(self.volume, self.volume.coords()[block as usize]);
             let signs = |block: u32| self.signs.get(block as usize).copied();
@@ -101,11 +101,10 @@ impl WithSimd for Finding<'_> {
             if edges == [NOTHING; 3] && cubes == NOTHING {
                 continue;
             }
-            let mut n_faces = 0;
             for (z, &word) in cubes.iter().enumerate() {
                 for bit in bits(word) {
                     let pattern = corners.pattern(z, bit);
-                    n_faces += cases[pattern as usize].n_triangles() as u32;
+                    n_faces += cases[pattern as usize].n_triangles();
                     patterns.push(pattern);
                 }
             }
@@ -114,9 +113,12 @@ impl WithSimd for Finding<'_> {
                 above,
                 cubes,
                 edges,
-                n_faces,
             });
         }
-        Found { blocks, patterns }
+        Found {
+            blocks,
+            patterns,
+            n_faces,
+        }
     }
 }

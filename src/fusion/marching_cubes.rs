@@ -32,7 +32,7 @@ pub fn marching_cubes(arch: Arch, volume: &TsdfVolume, min_weight: f32) -> TriMe
     grid.mesh(arch, &surfaces)
 }
 
-/// The vertices on a block's edges and the faces in its cubes.
+/// The vertices on a block's edges.
 #[derive(Default)]
 struct Surface {
     /// Edges with a vertex, by axis, each at the bit of its lower voxel.
@@ -42,7 +42,6 @@ struct Surface {
     n_vertices: u32,
     /// Vertices of the blocks before this one.
     first_vertex: u32,
-    n_faces: u32,
 }
 
 impl Surface {
@@ -66,14 +65,6 @@ impl Surface {
             }
         }
     }
-}
-
-/// Vertices and faces of some blocks.
-fn counts(surfaces: &[Surface]) -> (usize, usize) {
-    surfaces.iter().fold((0, 0), |(vertices, faces), surface| {
-        let more = (surface.n_vertices as usize, surface.n_faces as usize);
-        (vertices + more.0, faces + more.1)
-    })
 }
 
 /// Numbers the vertices of all tasks' blocks through.
@@ -119,7 +110,6 @@ impl Grid<'_> {
         });
         let mut surface = Surface {
             edges: edges_of_cubes(&crossed.edges, below),
-            n_faces: crossed.n_faces,
             ..Surface::default()
         };
         let words = surface.edges.as_flattened().iter();
@@ -131,16 +121,18 @@ impl Grid<'_> {
     }
 
     fn mesh(&self, arch: Arch, surfaces: &[Vec<Surface>]) -> TriMesh {
-        let of_tasks: Vec<(usize, usize)> =
-            surfaces.iter().map(|of_task| counts(of_task)).collect();
+        let n_vertices = |of_task: &Vec<Surface>| -> usize {
+            of_task.iter().map(|of| of.n_vertices as usize).sum()
+        };
+        let tasks = || surfaces.iter().map(n_vertices).zip(&self.crossings.tasks);
         let mut mesh = TriMesh {
-            vertices: repeat_n(Point3::origin(), of_tasks.iter().map(|of| of.0).sum()).collect(),
-            faces: vec![[0; 3]; of_tasks.iter().map(|of| of.1).sum()],
+            vertices: repeat_n(Point3::origin(), tasks().map(|of| of.0).sum()).collect(),
+            faces: vec![[0; 3]; tasks().map(|of| of.1.n_faces).sum()],
         };
         let (mut vertices, mut faces) = (&mut mesh.vertices[..], &mut mesh.faces[..]);
-        let parts = of_tasks.iter().map_while(|&(n_vertices, n_faces)| {
+        let parts = tasks().map_while(|(n_vertices, found)| {
             let vertices = vertices.split_off_mut(..n_vertices)?;
-            Some((vertices, faces.split_off_mut(..n_faces)?))
+            Some((vertices, faces.split_off_mut(..found.n_faces)?))
         });
         let parts: Vec<Part<'_>> = parts.collect();
         parts.into_par_iter().enumerate().for_each(|(task, part)| {
@@ -171,7 +163,9 @@ impl WithSimd for Writing<'_> {
     fn with_simd<S: Simd>(mut self, _: S) {
         let (vertices, faces) = std::mem::take(&mut self.part);
         let (mut vertices, mut faces) = (vertices.iter_mut(), faces.iter_mut());
-        let Found { blocks, patterns } = &self.grid.crossings.tasks[self.task];
+        let Found {
+            blocks, patterns, ..
+        } = &self.grid.crossings.tasks[self.task];
         let mut patterns = patterns.iter();
         let mut numbers = [0; N_SLOTS];
         for (block, surface) in blocks.iter().zip(&self.surfaces[self.task]) {
@@ -192,10 +186,10 @@ impl Writing<'_> {
         out: &mut std::slice::IterMut<'_, Point3<f64>>,
     ) {
         let volume = self.grid.volume;
-        let coord = volume.coords()[above[0] as usize];
         if surface.n_vertices == 0 {
             return;
         }
+        let coord = volume.coords()[above[0] as usize];
         // All of the distances' cache lines are asked for at once: the edges would wait for one after the other.
         let lines = volume.blocks()[above[0] as usize].tsdf.iter().step_by(32);
         std::hint::black_box(lines.fold(0, |all, distance| all ^ distance));

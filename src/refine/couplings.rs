@@ -2,6 +2,7 @@
 //! stand for the same patch.
 
 use super::energy::TILE;
+use super::lists::Lists;
 use super::patches::Patch;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use rayon::prelude::*;
@@ -22,46 +23,27 @@ pub struct Couplings {
     pub corners: VertexCorners,
 }
 
-/// The corners of faces that meet in each vertex.
+/// The corners of faces that meet in each vertex: three times the face, and the corner, in rising order.
 #[derive(Clone, Debug)]
-pub struct VertexCorners {
-    starts: Vec<u32>,
-    /// Three times the face and the corner, in rising order for each vertex.
-    corners: Vec<u32>,
-}
+pub struct VertexCorners(Lists);
 
 impl VertexCorners {
     fn new(mesh: &TriMesh) -> VertexCorners {
-        let n_vertices = mesh.vertices.len();
-        let mut starts = vec![0; n_vertices + 1];
-        let vertices = mesh.faces.as_flattened();
-        for &vertex in vertices {
-            starts[vertex as usize + 1] += 1;
-        }
-        for vertex in 0..n_vertices {
-            starts[vertex + 1] += starts[vertex];
-        }
-        let mut next = starts.clone();
-        let mut corners = vec![0; vertices.len()];
-        for (corner, &vertex) in (0..).zip(vertices) {
-            let next = &mut next[vertex as usize];
-            corners[*next as usize] = corner;
-            *next += 1;
-        }
-        VertexCorners { starts, corners }
+        let vertices = mesh.faces.as_flattened().iter().zip(0..);
+        let corners = vertices.map(|(&vertex, corner)| [vertex, corner]);
+        VertexCorners(Lists::new(mesh.vertices.len(), corners))
     }
 
     /// Face and corner of those at a vertex, in rising order.
     #[inline]
     pub fn of(&self, vertex: usize) -> impl Iterator<Item = [usize; 2]> {
-        let corners = self.starts[vertex] as usize..self.starts[vertex + 1] as usize;
-        let corners = self.corners[corners].iter();
+        let corners = self.0.of(vertex).iter();
         corners.map(|&corner| [corner as usize / 3, corner as usize % 3])
     }
 
     /// Sums of a value of each face over the faces around each vertex, in the order of the faces.
     pub fn sums<T: Sum + Send>(&self, of_face: impl Fn(usize) -> T + Sync) -> Vec<T> {
-        let vertices = (0..self.starts.len() - 1).into_par_iter();
+        let vertices = (0..self.0.len()).into_par_iter();
         let sum = |vertex| self.of(vertex).map(|[face, _]| of_face(face)).sum();
         vertices.with_min_len(TILE).map(sum).collect()
     }

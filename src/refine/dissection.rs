@@ -5,6 +5,7 @@
 //! again, down to leaves that are eliminated whole. The cuts make a tree: what lies in different branches can be eliminated at the same time, and in the same order
 //! on any number of threads.
 
+use super::lists::Lists;
 use nalgebra::Point3;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,36 +16,18 @@ const LEAF: usize = 32;
 const PARALLEL: usize = 4000;
 
 /// Which unknowns meet: each one's neighbours.
-pub struct Graph {
-    starts: Vec<u32>,
-    neighbours: Vec<u32>,
-}
+pub struct Graph(Lists);
 
 impl Graph {
     /// The graph of pairs of `n` unknowns, each named once.
     pub fn new(n: usize, pairs: &[[u32; 2]]) -> Graph {
-        let mut starts = vec![0; n + 1];
-        for end in pairs.iter().flatten() {
-            starts[*end as usize + 1] += 1;
-        }
-        for k in 0..n {
-            starts[k + 1] += starts[k];
-        }
-        let mut next = starts.clone();
-        let mut neighbours = vec![0; 2 * pairs.len()];
-        for &[a, b] in pairs {
-            for (from, to) in [(a, b), (b, a)] {
-                neighbours[next[from as usize] as usize] = to;
-                next[from as usize] += 1;
-            }
-        }
-        Graph { starts, neighbours }
+        let both_ways = pairs.iter().flat_map(|&[a, b]| [[a, b], [b, a]]);
+        Graph(Lists::new(n, both_ways))
     }
 
     /// The unknowns that meet another.
     pub fn neighbours(&self, of: u32) -> &[u32] {
-        let of = of as usize;
-        &self.neighbours[self.starts[of] as usize..self.starts[of + 1] as usize]
+        self.0.of(of as usize)
     }
 }
 
