@@ -58,7 +58,7 @@ impl Default for RefineParams {
             edge_length_m: 0.0013,
             max_vertices: 250_000,
             n_rounds: 3,
-            max_steps: 3,
+            max_steps: 2,
             patch_m: 0.02,
             patch_sigma_m: 0.00018,
             slope_sigma_rad: 0.15,
