@@ -1,4 +1,4 @@
-//! Cholesky factors of sparse symmetric matrices of one pattern, whose order of elimination is found once: multifrontal (Duff and
+//! Cholesky factors, in single precision, of sparse symmetric matrices of one pattern, whose order of elimination is found once: multifrontal (Duff and
 //! Reid 1983), over the tree of a [`Dissection`].
 //!
 //! A node's *front* has a row for each of its own unknowns, the pivots J, and for each later one that they meet, the boundary I. What it
@@ -56,7 +56,7 @@ impl Front {
 pub struct Factor<'a> {
     analysis: &'a Analysis,
     /// Front by front, `L_JJ` over `L_IJ`, column by column.
-    values: Vec<f64>,
+    values: Vec<f32>,
 }
 
 impl Analysis {
@@ -140,12 +140,12 @@ impl Analysis {
     }
 
     /// Factorises the columns of a node and of all below it; returns what they subtract from the boundary, the lower half.
-    fn eliminate(&self, node: usize, matrix: &Entries, values: &mut [f64]) -> Option<Mat<f64>> {
+    fn eliminate(&self, node: usize, matrix: &Entries, values: &mut [f32]) -> Option<Mat<f32>> {
         let front = &self.nodes[node];
         let (n, m) = (front.pivots.len(), front.n_boundary);
         let (below, own) = values.split_at_mut(values.len() - n * (n + m));
         let mut own = MatMut::from_column_major_slice_mut(own, n + m, n);
-        let mut update = Mat::<f64>::zeros(m, m);
+        let mut update = Mat::<f32>::zeros(m, m);
         if let Some(children) = front.children {
             let (near, far) = below.split_at_mut(self.nodes[children[0]].n_values);
             let [a, b] = children;
@@ -160,13 +160,13 @@ impl Analysis {
             }
         }
         for (k, &unknown) in self.order[front.pivots.clone()].iter().enumerate() {
-            own[(k, k)] += matrix.diagonal[unknown as usize];
+            own[(k, k)] += matrix.diagonal[unknown as usize] as f32;
         }
         for &[entry, row, column] in &front.entries {
-            own[(row as usize, column as usize)] += matrix.of_pairs[entry as usize];
+            own[(row as usize, column as usize)] += matrix.of_pairs[entry as usize] as f32;
         }
         let (mut corner, mut rows) = own.split_at_row_mut(n);
-        let scratch = cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default());
+        let scratch = cholesky_in_place_scratch::<f32>(n, Par::Seq, Default::default());
         cholesky_in_place(
             corner.as_mut(),
             Default::default(),
@@ -233,19 +233,19 @@ struct Entries<'a> {
 }
 
 /// The values of a column of a matrix that is kept column by column.
-fn values_of(column: ColRef<'_, f64>) -> &[f64] {
+fn values_of(column: ColRef<'_, f32>) -> &[f32] {
     let column = column.try_as_col_major();
     column.expect("kept column by column").as_slice()
 }
 
 /// The same for writing.
-fn values_of_mut(column: ColMut<'_, f64>) -> &mut [f64] {
+fn values_of_mut(column: ColMut<'_, f32>) -> &mut [f32] {
     let column = column.try_as_col_major_mut();
     column.expect("kept column by column").as_slice_mut()
 }
 
 /// Adds the lower half of a child's update to the front's own columns and to its update.
-fn add_lower(theirs: &Mat<f64>, rows: &[u32], own: &mut MatMut<'_, f64>, update: &mut Mat<f64>) {
+fn add_lower(theirs: &Mat<f32>, rows: &[u32], own: &mut MatMut<'_, f32>, update: &mut Mat<f32>) {
     let n = own.ncols();
     for (j, &column) in rows.iter().enumerate() {
         let column = column as usize;
@@ -271,21 +271,21 @@ impl Factor<'_> {
         // Row by row, in the order of elimination.
         let mut rows = Vec::with_capacity(columns.len());
         for &unknown in order {
-            rows.extend((0..width).map(|column| columns[column * n + unknown as usize]));
+            rows.extend((0..width).map(|column| columns[column * n + unknown as usize] as f32));
         }
         let root = self.analysis.nodes.len() - 1;
         self.forward(root, &self.values, &mut rows, width);
         self.backward(root, &self.values, &mut rows, &[], width);
         for (row, &unknown) in rows.chunks(width.max(1)).zip(order) {
             for (column, value) in row.iter().enumerate() {
-                columns[column * n + unknown as usize] = *value;
+                columns[column * n + unknown as usize] = f64::from(*value);
             }
         }
         columns
     }
 
     /// `L_JJ` over `L_IJ` of a node, and the values of both branches below it.
-    fn blocks<'a>(&self, node: usize, values: &'a [f64]) -> (MatRef<'a, f64>, [&'a [f64]; 2]) {
+    fn blocks<'a>(&self, node: usize, values: &'a [f32]) -> (MatRef<'a, f32>, [&'a [f32]; 2]) {
         let front = &self.analysis.nodes[node];
         let (height, n) = (front.height(), front.pivots.len());
         let (below, own) = values.split_at(values.len() - height * n);
@@ -297,7 +297,7 @@ impl Factor<'_> {
     }
 
     /// Parts the rows of a node and all below it into those of both branches and its own.
-    fn split<'a>(&self, node: usize, rows: &'a mut [f64], width: usize) -> [&'a mut [f64]; 3] {
+    fn split<'a>(&self, node: usize, rows: &'a mut [f32], width: usize) -> [&'a mut [f32]; 3] {
         let front = &self.analysis.nodes[node];
         let n_near = front.children.map_or(0, |[near, _]| {
             self.analysis.nodes[near].pivots.end - front.first
@@ -308,7 +308,7 @@ impl Factor<'_> {
     }
 
     /// `L Y = B` for a node and all below it; returns what it adds to the right-hand side of its boundary.
-    fn forward(&self, node: usize, values: &[f64], rows: &mut [f64], width: usize) -> Vec<f64> {
+    fn forward(&self, node: usize, values: &[f32], rows: &mut [f32], width: usize) -> Vec<f32> {
         let front = &self.analysis.nodes[node];
         let (n, m) = (front.pivots.len(), front.n_boundary);
         let (own, below) = self.blocks(node, values);
@@ -352,9 +352,9 @@ impl Factor<'_> {
     fn backward(
         &self,
         node: usize,
-        values: &[f64],
-        rows: &mut [f64],
-        boundary: &[f64],
+        values: &[f32],
+        rows: &mut [f32],
+        boundary: &[f32],
         width: usize,
     ) {
         let front = &self.analysis.nodes[node];
@@ -373,7 +373,7 @@ impl Factor<'_> {
         );
         solve_upper_triangular_in_place(corner.transpose(), x, Par::Seq);
         let Some([a, b]) = front.children else { return };
-        let theirs = |child: usize| -> Vec<f64> {
+        let theirs = |child: usize| -> Vec<f32> {
             let rows = self.analysis.nodes[child].in_parent.iter();
             rows.flat_map(|&row| {
                 let row = row as usize;
@@ -400,24 +400,24 @@ impl Factor<'_> {
         self.invert(root, &self.values, &Mat::zeros(0, 0), &mut permuted);
         let mut diagonal = vec![0.0; permuted.len()];
         for (&unknown, value) in self.analysis.order.iter().zip(permuted) {
-            diagonal[unknown as usize] = value;
+            diagonal[unknown as usize] = f64::from(value);
         }
         diagonal
     }
 
     /// The inverse's diagonal for a node and all below it, given the inverse on its boundary.
-    fn invert(&self, node: usize, values: &[f64], boundary: &Mat<f64>, diagonal: &mut [f64]) {
+    fn invert(&self, node: usize, values: &[f32], boundary: &Mat<f32>, diagonal: &mut [f32]) {
         let front = &self.analysis.nodes[node];
         let (n, m) = (front.pivots.len(), front.n_boundary);
         let (own, below) = self.blocks(node, values);
         let [near, far, pivots] = self.split(node, diagonal, 1);
-        let mut inverse = Mat::<f64>::identity(n, n);
+        let mut inverse = Mat::<f32>::identity(n, n);
         solve_lower_triangular_in_place(own.subrows(0, n), inverse.as_mut(), Par::Seq);
-        let mut known = Mat::<f64>::zeros(n + m, n + m);
+        let mut known = Mat::<f32>::zeros(n + m, n + m);
         let (own_rows, coupled_rows) = known.as_mut().split_at_row_mut(n);
         let mut corner = own_rows.subcols_mut(0, n);
         let mut coupled = coupled_rows.subcols_mut(0, n);
-        let product = |to: MatMut<'_, f64>, accum, a: MatRef<'_, f64>, b: MatRef<'_, f64>, by| {
+        let product = |to: MatMut<'_, f32>, accum, a: MatRef<'_, f32>, b: MatRef<'_, f32>, by| {
             matmul(to, accum, a, b, by, Par::Seq);
         };
         let upper = inverse.transpose();
@@ -429,7 +429,7 @@ impl Factor<'_> {
             1.0,
         );
         if m > 0 {
-            let mut w = Mat::<f64>::zeros(m, n);
+            let mut w = Mat::<f32>::zeros(m, n);
             let rows = own.subrows(n, m);
             product(w.as_mut(), Accum::Replace, rows, inverse.as_ref(), 1.0);
             let known = boundary.as_ref();
@@ -532,7 +532,7 @@ mod tests {
                 .expect("positive definite");
             for (k, value) in factor.inverse_diagonal().iter().enumerate() {
                 let relative = (value / inverse[(k, k)] - 1.0).abs();
-                assert!(relative < 1e-9, "{side}: entry {k} is off by {relative}");
+                assert!(relative < 1e-5, "{side}: entry {k} is off by {relative}");
             }
             let columns: Vec<f64> = (0..3 * n).map(|k| (k as f64 * 0.37).sin()).collect();
             let solved = factor.solve(columns.clone());
@@ -541,7 +541,7 @@ mod tests {
             for (k, value) in solved.iter().enumerate() {
                 let off = (value - expected[(k % n, k / n)]).abs();
                 assert!(
-                    off < 1e-9 * expected.norm_max(),
+                    off < 1e-5 * expected.norm_max(),
                     "{side}: {k} is off by {off}"
                 );
             }

@@ -80,16 +80,19 @@ impl Pattern {
     /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
     /// taken out by their Schur complement. `None` where H is not positive definite.
     ///
-    /// Where the matrix has an upper bound of the data term of sites at vertices in its place, by conjugate gradients in the
-    /// bound's metric (Hestenes and Stiefel 1952).
+    /// By conjugate gradients (Hestenes and Stiefel 1952) in the metric of a factor that is not the matrix: one in single precision,
+    /// for sites at vertices of an upper bound of their data term.
     pub fn solve(&self, problem: &Problem, matrix: &NormalMatrix, damping: f64) -> Option<Step> {
         let (bound, first) = Bordered::new(&self.analysis, matrix, damping)?;
-        let Some(system) = &matrix.at_vertices else {
-            return first.is_finite().then_some(first);
-        };
         let times = |x: &Step| {
-            let mut product = problem.prior_times(&x.displacement);
-            system.add_times(&self.couplings.corners, &x.displacement, &mut product);
+            let mut product = match &matrix.at_vertices {
+                Some(system) => {
+                    let mut product = problem.prior_times(&x.displacement);
+                    system.add_times(&self.couplings.corners, &x.displacement, &mut product);
+                    product
+                }
+                None => matrix.times(&self.couplings.pairs, &x.displacement),
+            };
             let pairs = matrix.diagonal.iter().zip(&x.displacement);
             for (product, (diagonal, x)) in product.iter_mut().zip(pairs) {
                 *product += damping * diagonal * x;
@@ -202,6 +205,18 @@ impl<'a> Bordered<'a> {
 }
 
 impl NormalMatrix {
+    /// The product of the displacements' matrix with `x`.
+    fn times(&self, pairs: &[[u32; 2]], x: &[f64]) -> Vec<f64> {
+        let own = self.diagonal.iter().zip(x);
+        let mut product: Vec<f64> = own.map(|(diagonal, x)| diagonal * x).collect();
+        for (&[a, b], value) in pairs.iter().zip(&self.off_diagonal) {
+            let (a, b) = (a as usize, b as usize);
+            product[a] += value * x[b];
+            product[b] += value * x[a];
+        }
+        product
+    }
+
     /// The negative gradient.
     fn descent(&self) -> Step {
         Step {
@@ -283,7 +298,11 @@ pub fn minimise(
         let matrix = problem.linearise(surface, albedos, &pattern.couplings);
         let (next, next_albedos, next_energy, max_step_m) = loop {
             let Some(step) = pattern.solve(problem, &matrix, damping) else {
-                return RefineStatus::Singular;
+                damping *= 10.0;
+                if damping > MAX_DAMPING {
+                    return RefineStatus::Singular;
+                }
+                continue;
             };
             let Step {
                 mut displacement,
@@ -363,6 +382,101 @@ fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
         for &vertex in turned.into_iter().flatten() {
             step[vertex as usize] *= 0.5;
             has_changed[vertex as usize] = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::RefineParams;
+    use super::super::observations::Observations;
+    use super::super::rounds::{final_loss, prior_weights};
+    use super::super::scenes::{
+        ALBEDO, RippledPlane, calibration, optics, poses, rays, surface_of, views,
+    };
+    use super::super::site_motion::{Linearisation, SiteMotion};
+    use super::super::sites::{SiteKind, Sites, ViewSet};
+    use super::*;
+    use crate::geometry::EdgeAdjacency;
+    use crate::refine::JacobianMode;
+
+    /// The whole damped system, albedos last, and its right side.
+    fn dense(
+        matrix: &NormalMatrix,
+        pairs: &[[u32; 2]],
+        damping: f64,
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let n = matrix.diagonal.len();
+        let size = n + matrix.groups.len();
+        let mut all = DMatrix::zeros(size, size);
+        let mut right = DVector::zeros(size);
+        for (k, (value, slope)) in matrix.diagonal.iter().zip(&matrix.gradient).enumerate() {
+            all[(k, k)] = value * (1.0 + damping);
+            right[k] = -slope;
+        }
+        for (&[a, b], &value) in pairs.iter().zip(&matrix.off_diagonal) {
+            all[(a as usize, b as usize)] = value;
+            all[(b as usize, a as usize)] = value;
+        }
+        for (k, group) in (n..).zip(&matrix.groups) {
+            all[(k, k)] = group.diagonal * (1.0 + damping) + NO_EVIDENCE;
+            right[k] = -group.gradient;
+            for (vertex, &value) in group.coupling.iter().enumerate() {
+                all[(k, vertex)] = value;
+                all[(vertex, k)] = value;
+            }
+        }
+        (all, right)
+    }
+
+    #[test]
+    fn what_single_precision_leaves_of_a_step_is_taken_out() {
+        let hidden = RippledPlane {
+            amplitude_m: 0.0003,
+        };
+        let params = RefineParams {
+            sites: SiteKind::Face,
+            ..RefineParams::default()
+        };
+        let edge_m = 0.004;
+        let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(edge_m);
+        let (rays, calibration) = (rays(), calibration());
+        let optics = optics(&rays, &calibration);
+        let views = views(&hidden, &mesh, &optics, &poses(0.4));
+        let surface = surface_of(mesh);
+        let sites = Sites::new(params.sites, &surface.mesh, &views, ViewSet::MAX);
+        let motion = SiteMotion::of(&surface, params.sites, Linearisation::Full);
+        let edges = EdgeAdjacency::new(&surface.mesh);
+        let n_sites = sites.points.len();
+        let problem = Problem {
+            sites: params.sites,
+            observations: &Observations::new(&sites, &views, motion, None),
+            labels: &vec![0; n_sites],
+            tints: &vec![1.0; n_sites],
+            loss: final_loss(1.0),
+            priors: prior_weights(&params, edge_m),
+            patches: &[],
+            edges: &edges,
+            jacobian: JacobianMode::Analytic,
+        };
+        let couplings = Couplings::new(&surface.mesh, &edges, &[]);
+        let pattern = Pattern::new(&surface.mesh.vertices, couplings);
+        let matrix = problem.linearise(&surface, &[1.1 * ALBEDO], pattern.couplings());
+        for damping in [1e-8, 1e-3] {
+            let (all, right) = dense(&matrix, &pattern.couplings().pairs, damping);
+            let expected = all.cholesky().expect("positive definite").solve(&right);
+            let step = pattern.solve(&problem, &matrix, damping);
+            let Step {
+                displacement,
+                log_albedo,
+            } = step.expect("positive definite");
+            let n = displacement.len();
+            let largest = expected.rows(0, n).amax();
+            assert!(largest > 1e-4, "{largest}");
+            for (x, expected) in displacement.iter().zip(&expected) {
+                assert!((x - expected).abs() < 1e-9 * largest, "{x} for {expected}");
+            }
+            assert!((log_albedo[0] / expected[n] - 1.0).abs() < 1e-9);
         }
     }
 }
