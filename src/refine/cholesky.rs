@@ -7,7 +7,7 @@
 //! `W = L_IJ L_JJ⁻¹`. Branches are independent of one another, upwards and downwards, and every sum is in one order whatever
 //! thread it is on.
 
-use super::dissection::{Dissection, Graph};
+use super::dissection::{Dissection, Graph, Node};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
@@ -24,19 +24,13 @@ const PARALLEL: usize = 2000;
 
 /// The order of elimination for a pattern, and where every entry goes.
 pub struct Analysis {
-    /// The unknown at each place of the order.
-    order: Vec<u32>,
-    /// Children before their parents; the root is the last.
-    nodes: Vec<Front>,
+    dissection: Dissection,
+    /// Of each node.
+    fronts: Vec<Front>,
 }
 
 /// What is known beforehand of a node's front.
 struct Front {
-    children: Option<[usize; 2]>,
-    /// By their place in the order.
-    pivots: Range<usize>,
-    /// The first place of its own and of all below it.
-    first: usize,
     n_boundary: usize,
     /// Where in the parent's front each row of the boundary is, ascending.
     in_parent: Vec<u32>,
@@ -44,12 +38,6 @@ struct Front {
     entries: Vec<[u32; 3]>,
     /// Values of the factor for its own columns and for all below it.
     n_values: usize,
-}
-
-impl Front {
-    fn height(&self) -> usize {
-        self.pivots.len() + self.n_boundary
-    }
 }
 
 /// The factor of one matrix.
@@ -64,9 +52,26 @@ impl Analysis {
     /// space.
     pub fn new(places: &[Point3<f64>], pairs: &[[u32; 2]]) -> Analysis {
         let graph = Graph::new(places.len(), pairs);
-        let Dissection { order, nodes } = Dissection::new(&graph, places);
+        let dissection = Dissection::new(&graph, places);
+        Analysis::of_dissection(dissection, &graph, pairs)
+    }
+
+    /// The same where each unknown halves a pair of this one's, or is one of its unknowns.
+    pub fn finer(
+        &self,
+        parents: &[[u32; 2]],
+        places: &[Point3<f64>],
+        pairs: &[[u32; 2]],
+    ) -> Analysis {
+        let graph = Graph::new(places.len(), pairs);
+        let dissection = self.dissection.finer(parents, &graph, places);
+        Analysis::of_dissection(dissection, &graph, pairs)
+    }
+
+    fn of_dissection(dissection: Dissection, graph: &Graph, pairs: &[[u32; 2]]) -> Analysis {
+        let Dissection { order, nodes } = &dissection;
         let mut place_of = vec![0u32; order.len()];
-        for (place, &unknown) in (0..).zip(&order) {
+        for (place, &unknown) in (0..).zip(order) {
             place_of[unknown as usize] = place;
         }
         let mut boundaries: Vec<Vec<u32>> = Vec::with_capacity(nodes.len());
@@ -92,9 +97,6 @@ impl Analysis {
                 n_values += fronts[child].n_values;
             }
             fronts.push(Front {
-                children: node.children,
-                pivots: node.pivots,
-                first: node.first,
                 n_boundary: boundary.len(),
                 in_parent: Vec::new(),
                 entries: Vec::new(),
@@ -102,32 +104,26 @@ impl Analysis {
             });
             boundaries.push(boundary);
         }
-        let mut node_of = vec![0u32; order.len()];
-        for (node, front) in (0..).zip(&fronts) {
-            node_of[front.pivots.clone()].fill(node);
-        }
+        let node_of = dissection.node_of_unknowns();
         for (entry, pair) in (0..).zip(pairs) {
-            let places = pair.map(|unknown| place_of[unknown as usize]);
-            let (column, row) = (places[0].min(places[1]), places[0].max(places[1]));
-            let node = node_of[column as usize] as usize;
+            let [a, b] = pair.map(|unknown| place_of[unknown as usize]);
+            let (column, row) = (a.min(b), a.max(b));
+            let node = node_of[order[column as usize] as usize] as usize;
             let rows = Rows {
-                pivots: &fronts[node].pivots,
+                pivots: &nodes[node].pivots,
                 boundary: &boundaries[node],
             };
             let entry = [entry, rows.row_of(row), rows.row_of(column)];
             fronts[node].entries.push(entry);
         }
-        Analysis {
-            order,
-            nodes: fronts,
-        }
+        Analysis { dissection, fronts }
     }
 
     /// Factorises a matrix with these values on the diagonal and for the pairs; `None` if it is not positive definite or memory
     /// does not suffice.
     pub fn factorise(&self, diagonal: &[f64], of_pairs: &[f64]) -> Option<Factor<'_>> {
-        let root = self.nodes.len() - 1;
-        let n_values = self.nodes[root].n_values;
+        let root = self.fronts.len() - 1;
+        let n_values = self.fronts[root].n_values;
         let mut values = Vec::new();
         values.try_reserve_exact(n_values).ok()?;
         values.resize(n_values, 0.0);
@@ -141,25 +137,30 @@ impl Analysis {
 
     /// Factorises the columns of a node and of all below it; returns what they subtract from the boundary, the lower half.
     fn eliminate(&self, node: usize, matrix: &Entries, values: &mut [f32]) -> Option<Mat<f32>> {
-        let front = &self.nodes[node];
-        let (n, m) = (front.pivots.len(), front.n_boundary);
+        let (
+            Node {
+                children, pivots, ..
+            },
+            front,
+        ) = self.at(node);
+        let (n, m) = (pivots.len(), front.n_boundary);
         let (below, own) = values.split_at_mut(values.len() - n * (n + m));
         let mut own = MatMut::from_column_major_slice_mut(own, n + m, n);
         let mut update = Mat::<f32>::zeros(m, m);
-        if let Some(children) = front.children {
-            let (near, far) = below.split_at_mut(self.nodes[children[0]].n_values);
-            let [a, b] = children;
+        if let Some([a, b]) = *children {
+            let (near, far) = below.split_at_mut(self.fronts[a].n_values);
+            let nodes = [a, b];
             let (a, b) = self.both(
                 node,
                 || self.eliminate(a, matrix, near),
                 || self.eliminate(b, matrix, far),
             );
-            for (child, theirs) in children.into_iter().zip([a?, b?]) {
-                let rows = &self.nodes[child].in_parent;
+            for (child, theirs) in nodes.into_iter().zip([a?, b?]) {
+                let rows = &self.fronts[child].in_parent;
                 add_lower(&theirs, rows, &mut own, &mut update);
             }
         }
-        for (k, &unknown) in self.order[front.pivots.clone()].iter().enumerate() {
+        for (k, &unknown) in self.dissection.order[pivots.clone()].iter().enumerate() {
             own[(k, k)] += matrix.diagonal[unknown as usize] as f32;
         }
         for &[entry, row, column] in &front.entries {
@@ -193,6 +194,10 @@ impl Analysis {
         Some(update)
     }
 
+    fn at(&self, node: usize) -> (&Node, &Front) {
+        (&self.dissection.nodes[node], &self.fronts[node])
+    }
+
     /// Does what is to be done for both branches below a node, at the same time if they are large.
     fn both<A: Send, B: Send>(
         &self,
@@ -200,8 +205,8 @@ impl Analysis {
         near: impl FnOnce() -> A + Send,
         far: impl FnOnce() -> B + Send,
     ) -> (A, B) {
-        let front = &self.nodes[node];
-        match front.pivots.start - front.first > PARALLEL {
+        let (Node { pivots, first, .. }, _) = self.at(node);
+        match pivots.start - first > PARALLEL {
             true => rayon::join(near, far),
             false => (near(), far()),
         }
@@ -265,7 +270,7 @@ impl Factor<'_> {
     /// Solves `A X = B` for several columns at once, which stand one after the other in `columns`. The factor is read once for
     /// all of them, which is most of the cost.
     pub fn solve(&self, mut columns: Vec<f64>) -> Vec<f64> {
-        let order = &self.analysis.order;
+        let order = &self.analysis.dissection.order;
         let n = order.len();
         let width = columns.len() / n.max(1);
         // Row by row, in the order of elimination.
@@ -273,7 +278,7 @@ impl Factor<'_> {
         for &unknown in order {
             rows.extend((0..width).map(|column| columns[column * n + unknown as usize] as f32));
         }
-        let root = self.analysis.nodes.len() - 1;
+        let root = self.analysis.fronts.len() - 1;
         self.forward(root, &self.values, &mut rows, width);
         self.backward(root, &self.values, &mut rows, &[], width);
         for (row, &unknown) in rows.chunks(width.max(1)).zip(order) {
@@ -286,42 +291,49 @@ impl Factor<'_> {
 
     /// `L_JJ` over `L_IJ` of a node, and the values of both branches below it.
     fn blocks<'a>(&self, node: usize, values: &'a [f32]) -> (MatRef<'a, f32>, [&'a [f32]; 2]) {
-        let front = &self.analysis.nodes[node];
-        let (height, n) = (front.height(), front.pivots.len());
+        let (
+            Node {
+                children, pivots, ..
+            },
+            front,
+        ) = self.analysis.at(node);
+        let n = pivots.len();
+        let height = n + front.n_boundary;
         let (below, own) = values.split_at(values.len() - height * n);
-        let n_near = front
-            .children
-            .map_or(0, |[near, _]| self.analysis.nodes[near].n_values);
+        let n_near = children.map_or(0, |[near, _]| self.analysis.fronts[near].n_values);
         let (near, far) = below.split_at(n_near);
         (MatRef::from_column_major_slice(own, height, n), [near, far])
     }
 
     /// Parts the rows of a node and all below it into those of both branches and its own.
     fn split<'a>(&self, node: usize, rows: &'a mut [f32], width: usize) -> [&'a mut [f32]; 3] {
-        let front = &self.analysis.nodes[node];
-        let n_near = front.children.map_or(0, |[near, _]| {
-            self.analysis.nodes[near].pivots.end - front.first
-        });
-        let (below, own) = rows.split_at_mut((front.pivots.start - front.first) * width);
+        let nodes = &self.analysis.dissection.nodes;
+        let Node {
+            children,
+            pivots,
+            first,
+        } = &nodes[node];
+        let n_near = children.map_or(0, |[near, _]| nodes[near].pivots.end - first);
+        let (below, own) = rows.split_at_mut((pivots.start - first) * width);
         let (near, far) = below.split_at_mut(n_near * width);
         [near, far, own]
     }
 
     /// `L Y = B` for a node and all below it; returns what it adds to the right-hand side of its boundary.
     fn forward(&self, node: usize, values: &[f32], rows: &mut [f32], width: usize) -> Vec<f32> {
-        let front = &self.analysis.nodes[node];
-        let (n, m) = (front.pivots.len(), front.n_boundary);
+        let (at, front) = self.analysis.at(node);
+        let (n, m) = (at.pivots.len(), front.n_boundary);
         let (own, below) = self.blocks(node, values);
         let [near, far, pivots] = self.split(node, rows, width);
         let mut added = vec![0.0; m * width];
-        if let Some([a, b]) = front.children {
+        if let Some([a, b]) = at.children {
             let (from_near, from_far) = self.analysis.both(
                 node,
                 || self.forward(a, below[0], near, width),
                 || self.forward(b, below[1], far, width),
             );
             for (child, theirs) in [(a, from_near), (b, from_far)] {
-                let places = &self.analysis.nodes[child].in_parent;
+                let places = &self.analysis.fronts[child].in_parent;
                 for (&row, values) in places.iter().zip(theirs.chunks(width)) {
                     let row = row as usize;
                     let to = match row < n {
@@ -357,8 +369,8 @@ impl Factor<'_> {
         boundary: &[f32],
         width: usize,
     ) {
-        let front = &self.analysis.nodes[node];
-        let (n, m) = (front.pivots.len(), front.n_boundary);
+        let (at, front) = self.analysis.at(node);
+        let (n, m) = (at.pivots.len(), front.n_boundary);
         let (own, below) = self.blocks(node, values);
         let [near, far, pivots] = self.split(node, rows, width);
         let (corner, rows_below) = own.split_at_row(n);
@@ -372,9 +384,9 @@ impl Factor<'_> {
             Par::Seq,
         );
         solve_upper_triangular_in_place(corner.transpose(), x, Par::Seq);
-        let Some([a, b]) = front.children else { return };
+        let Some([a, b]) = at.children else { return };
         let theirs = |child: usize| -> Vec<f32> {
-            let rows = self.analysis.nodes[child].in_parent.iter();
+            let rows = self.analysis.fronts[child].in_parent.iter();
             rows.flat_map(|&row| {
                 let row = row as usize;
                 match row < n {
@@ -395,11 +407,11 @@ impl Factor<'_> {
 
     /// The diagonal of `A⁻¹`. Costs about as much as two factorisations.
     pub fn inverse_diagonal(&self) -> Vec<f64> {
-        let mut permuted = vec![0.0; self.analysis.order.len()];
-        let root = self.analysis.nodes.len() - 1;
+        let mut permuted = vec![0.0; self.analysis.dissection.order.len()];
+        let root = self.analysis.fronts.len() - 1;
         self.invert(root, &self.values, &Mat::zeros(0, 0), &mut permuted);
         let mut diagonal = vec![0.0; permuted.len()];
-        for (&unknown, value) in self.analysis.order.iter().zip(permuted) {
+        for (&unknown, value) in self.analysis.dissection.order.iter().zip(permuted) {
             diagonal[unknown as usize] = f64::from(value);
         }
         diagonal
@@ -407,8 +419,8 @@ impl Factor<'_> {
 
     /// The inverse's diagonal for a node and all below it, given the inverse on its boundary.
     fn invert(&self, node: usize, values: &[f32], boundary: &Mat<f32>, diagonal: &mut [f32]) {
-        let front = &self.analysis.nodes[node];
-        let (n, m) = (front.pivots.len(), front.n_boundary);
+        let (at, front) = self.analysis.at(node);
+        let (n, m) = (at.pivots.len(), front.n_boundary);
         let (own, below) = self.blocks(node, values);
         let [near, far, pivots] = self.split(node, diagonal, 1);
         let mut inverse = Mat::<f32>::identity(n, n);
@@ -440,7 +452,7 @@ impl Factor<'_> {
         for (k, value) in pivots.iter_mut().enumerate() {
             *value = corner[(k, k)];
         }
-        let Some([a, b]) = front.children else { return };
+        let Some([a, b]) = at.children else { return };
         for column in 0..n {
             for row in n..n + m {
                 known[(column, row)] = known[(row, column)];
@@ -448,7 +460,7 @@ impl Factor<'_> {
         }
         known.as_mut().submatrix_mut(n, n, m, m).copy_from(boundary);
         let theirs = |child: usize| {
-            let rows = &self.analysis.nodes[child].in_parent;
+            let rows = &self.analysis.fronts[child].in_parent;
             let mut theirs = Mat::zeros(rows.len(), rows.len());
             for (j, &column) in rows.iter().enumerate() {
                 let from = values_of(known.col(column as usize));

@@ -52,7 +52,7 @@ pub fn levels(object: &TriMesh, params: &RefineParams) -> Result<Vec<Level>, Ref
     if mesh.faces.is_empty() {
         return Err(RefineError::NoSurface);
     }
-    let mut levels = vec![Level::new(mesh, edge_length_m, Vec::new(), params)];
+    let mut levels = vec![Level::new(mesh, edge_length_m, None, params)];
     let surface = TriangleBvh::new(object);
     for coarser in 0..n_finer {
         let level = levels[coarser].finer(&surface, params);
@@ -65,7 +65,7 @@ impl Level {
     fn new(
         mesh: TriMesh,
         edge_length_m: f64,
-        parents: Vec<[u32; 2]>,
+        from_coarser: Option<(&Pattern, Vec<[u32; 2]>)>,
         params: &RefineParams,
     ) -> Level {
         let edges = EdgeAdjacency::new(&mesh);
@@ -73,7 +73,13 @@ impl Level {
         let couplings = Couplings::new(&mesh, &edges, &patches);
         let neighbouring_faces = (params.sites == SiteKind::Face)
             .then(|| neighbouring_faces(&couplings.of_faces, couplings.pairs.len()));
-        let pattern = Pattern::new(&mesh.vertices, couplings);
+        let (pattern, parents) = match from_coarser {
+            Some((coarser, parents)) => {
+                let pattern = coarser.finer(&parents, &mesh.vertices, couplings);
+                (pattern, parents)
+            }
+            None => (Pattern::new(&mesh.vertices, couplings), Vec::new()),
+        };
         Level {
             pattern,
             mesh,
@@ -89,7 +95,8 @@ impl Level {
         let couplings = self.pattern.couplings();
         let (sides, n_edges) = (&couplings.of_faces, couplings.pairs.len());
         let Subdivided { mesh, parents } = subdivide(&self.mesh, sides, n_edges, surface);
-        Level::new(mesh, 0.5 * self.edge_length_m, parents, params)
+        let from_coarser = Some((&self.pattern, parents));
+        Level::new(mesh, 0.5 * self.edge_length_m, from_coarser, params)
     }
 
     /// Every two neighbouring sites.

@@ -61,6 +61,19 @@ impl Pattern {
         }
     }
 
+    /// Analyses the pattern of a mesh whose vertices began at those of this one's or, with two of them for parents, between these.
+    pub fn finer(
+        &self,
+        parents: &[[u32; 2]],
+        vertices: &[Point3<f64>],
+        couplings: Couplings,
+    ) -> Pattern {
+        Pattern {
+            analysis: self.analysis.finer(parents, vertices, &couplings.pairs),
+            couplings,
+        }
+    }
+
     /// Which displacements meet.
     pub fn couplings(&self) -> &Couplings {
         &self.couplings
