@@ -4,12 +4,10 @@
 //! pixel by pixel ([`render`]), and both are compared with what was observed: in intensity, which shows slow shape and
 //! albedo, and in its gradient, which shows detail. Compared are the pixels that both surfaces cover.
 
-use super::albedo::Albedo;
 use super::rendering::render;
-use super::rounds::{Rounds, State};
+use super::rounds::{Rounds, State, UnseenSurface};
 use super::sites::ViewSet;
 use super::view::View;
-use crate::geometry::TriMesh;
 use depth_camera::Image;
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -116,15 +114,16 @@ pub fn judge(
         views,
         albedo,
     } = refined;
+    let base = rounds.unseen(&base.surface.mesh, &base.albedo);
+    let refined = rounds.unseen(&surface.mesh, albedo);
     let held_out = views
         .par_iter_mut()
         .enumerate()
         .filter(|(view, _)| held_out >> view & 1 == 1);
     held_out
         .map(|(index, view)| {
-            let mut with_base = view.clone();
-            let base = settle_and_render(rounds, &base.surface.mesh, &base.albedo, &mut with_base);
-            let refined = settle_and_render(rounds, &surface.mesh, albedo, view);
+            let base = settle_and_render(rounds, &base, &mut view.clone());
+            let refined = settle_and_render(rounds, &refined, view);
             JudgedView {
                 index,
                 sums: Sums::over(view, &base, &refined),
@@ -135,14 +134,9 @@ pub fn judge(
         .collect()
 }
 
-fn settle_and_render(
-    rounds: &Rounds,
-    mesh: &TriMesh,
-    albedo: &Albedo,
-    view: &mut View,
-) -> Image<f32> {
-    let sites = rounds.settle(view, mesh, albedo);
-    render(view, mesh, (&sites, 0), &albedo.by_site)
+fn settle_and_render(rounds: &Rounds, surface: &UnseenSurface, view: &mut View) -> Image<f32> {
+    let sites = rounds.settle(view, surface);
+    render(view, surface.mesh, (&sites, 0), surface.albedo)
 }
 
 fn error(view: &View, rendered: &Image<f32>) -> Image<f32> {

@@ -36,6 +36,17 @@ pub struct State {
     pub albedo: Albedo,
 }
 
+/// A surface that nobody looks at.
+pub struct UnseenSurface<'a> {
+    /// Its mesh.
+    pub mesh: &'a TriMesh,
+    sites: Sites,
+    /// Albedo of each site.
+    pub albedo: &'a [f64],
+    /// Mean of the vertices.
+    centre: Point3<f64>,
+}
+
 /// Tukey cut-offs of the first round, those after it, and the last: true relief is a large residual at first, and what a finer mesh
 /// tells of it is again.
 const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
@@ -153,12 +164,10 @@ impl Rounds<'_> {
 
     /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held. Returns the
     /// surface's sites with those that the view alone sees.
-    pub fn settle(&self, view: &mut View, mesh: &TriMesh, albedo: &Albedo) -> Sites {
-        let alone = std::slice::from_ref(view);
-        let sites = self.sites(mesh, alone, 1, albedo);
-        let albedo = &albedo.by_site;
+    pub fn settle(&self, view: &mut View, subject: &UnseenSurface) -> Sites {
+        let UnseenSurface { sites, albedo, .. } = subject;
+        let sites = sites.clone().seen_by(std::slice::from_ref(view), 1);
         let (chosen, stands_for) = sites_to_align_by(sites.of_view(0));
-        let centre = centre_of(mesh);
         for cutoff in CUTOFFS {
             let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
             let scale = observations.residual_scale(&sites, albedo);
@@ -168,7 +177,7 @@ impl Rounds<'_> {
                 chosen: &chosen,
                 stands_for,
                 albedo,
-                centre,
+                centre: subject.centre,
                 loss,
             };
             align_view(view, &target, &self.params.alignment);
@@ -207,6 +216,16 @@ impl<'a> Rounds<'a> {
     /// The sites of a mesh that a set of views sees, as glossy as their materials.
     pub fn sites(&self, mesh: &TriMesh, views: &[View], set: ViewSet, albedo: &Albedo) -> Sites {
         Sites::new(self.params.sites, mesh, views, set).with_gloss(albedo.site_gloss())
+    }
+
+    /// A surface for views that did not help to find it.
+    pub fn unseen<'s>(&self, mesh: &'s TriMesh, albedo: &'s Albedo) -> UnseenSurface<'s> {
+        UnseenSurface {
+            mesh,
+            sites: Sites::unseen(self.params.sites, mesh).with_gloss(albedo.site_gloss()),
+            albedo: &albedo.by_site,
+            centre: centre_of(mesh),
+        }
     }
 
     /// What views show at a surface's sites, and how that changes with its displacements.

@@ -6,7 +6,7 @@ use super::site_gloss::SiteGloss;
 use super::view::{Look, Sample, View};
 use crate::geometry::TriMesh;
 use crate::geometry::lanes::LANES;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector3, Vector4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +22,7 @@ pub enum SiteKind {
 }
 
 /// The sites of a mesh and the views that see them.
+#[derive(Clone)]
 pub struct Sites {
     /// What they are at.
     pub kind: SiteKind,
@@ -54,14 +55,19 @@ pub type ViewSet = u128;
 impl Sites {
     /// Finds the sites of a mesh and who of a set of views sees them.
     pub fn new(kind: SiteKind, mesh: &TriMesh, views: &[View], set: ViewSet) -> Sites {
-        let sites = match kind {
-            SiteKind::Face => Sites::of_faces(mesh),
-            SiteKind::Vertex => Sites::of_vertices(mesh),
-        };
-        sites.seen_by(views, set)
+        Sites::unseen(kind, mesh).seen_by(views, set)
     }
 
-    fn seen_by(mut self, views: &[View], set: ViewSet) -> Sites {
+    /// The sites of a mesh that nobody looks at.
+    pub fn unseen(kind: SiteKind, mesh: &TriMesh) -> Sites {
+        match kind {
+            SiteKind::Face => Sites::of_faces(mesh),
+            SiteKind::Vertex => Sites::of_vertices(mesh),
+        }
+    }
+
+    /// The same sites, with those of a set of views that see them.
+    pub fn seen_by(mut self, views: &[View], set: ViewSet) -> Sites {
         let Sites {
             points,
             normals,
@@ -92,7 +98,6 @@ impl Sites {
         self
     }
 
-    /// The facets of a mesh that nobody looks at.
     fn of_faces(mesh: &TriMesh) -> Sites {
         let n_faces = mesh.faces.len();
         let faces = (0..n_faces).into_par_iter();
@@ -108,17 +113,21 @@ impl Sites {
         }
     }
 
-    /// The vertices of a mesh that nobody looks at.
     fn of_vertices(mesh: &TriMesh) -> Sites {
         let n_vertices = mesh.vertices.len();
-        let third = |face| mesh.face_normal(face) / 6.0;
-        let along = mesh.sums_at_vertices(Vector3::zeros(), third);
-        let areas_m2 = mesh.sums_at_vertices(0.0, |face| third(face).norm());
-        let normal = |(along, area_m2): (&Vector3<f64>, &f64)| match along.norm() {
-            norm if norm > MIN_FLATNESS * area_m2 => along / norm,
-            _ => Vector3::zeros(),
+        // A third of each face: its area vector, and its area.
+        let sums = mesh.sums_at_vertices(Vector4::zeros(), |face| {
+            let third = mesh.face_normal(face) / 6.0;
+            third.push(third.norm())
+        });
+        let normal_and_area = |sum: Vector4<f64>| {
+            let (along, area_m2) = (sum.xyz(), sum.w);
+            match along.norm() {
+                norm if norm > MIN_FLATNESS * area_m2 => (along / norm, area_m2),
+                _ => (Vector3::zeros(), area_m2),
+            }
         };
-        let normals = along.iter().zip(&areas_m2).map(normal).collect();
+        let (normals, areas_m2) = sums.into_iter().map(normal_and_area).unzip();
         Sites {
             kind: SiteKind::Vertex,
             points: mesh.vertices.clone(),

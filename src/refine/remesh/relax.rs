@@ -14,6 +14,9 @@ const MIN_TURN_COSINE: f64 = 0.25;
 /// Height over longest side below which a face may turn as it likes: its normal says nothing.
 const SLIVER_HEIGHT: f64 = 0.05;
 
+/// More than a place on the surface is off by, metres.
+const ROUNDING_M: f64 = 1e-9;
+
 /// Moves interior vertices to the area-weighted means of their neighbours, within their tangent planes, and from there
 /// to the closest points of the surface. Vertices on the border stay, and so do those that would fold the surface.
 pub(super) fn relax_onto(mesh: &mut DynamicMesh, surface: &TriangleBvh) {
@@ -35,8 +38,11 @@ pub(super) fn relax_onto(mesh: &mut DynamicMesh, surface: &TriangleBvh) {
             return *mesh.position(vertex);
         }
         let target = relaxed(mesh, vertex, &areas, &around(vertex).sum());
+        // The vertex lies on the surface itself but for rounding, if it has been moved there before.
+        let reach = 1.001 * (target - mesh.position(vertex)).norm() + ROUNDING_M;
         surface
-            .closest_point(&target, f64::INFINITY)
+            .closest_point(&target, reach)
+            .or_else(|| surface.closest_point(&target, f64::INFINITY))
             .map_or(target, |closest| closest.point)
     });
     let old = std::mem::replace(&mut mesh.positions, moved);
