@@ -47,20 +47,38 @@ static UNIT_LIGHTS: LazyLock<[(Vector3<f64>, f64); 2]> = LazyLock::new(|| {
     })
 });
 
-/// Linear brightness of a surface with this unit normal, seen from this unit direction.
-pub(super) fn shade(
-    normal: &Vector3<f64>,
-    towards_camera: &Vector3<f64>,
-    params: &PhongParams,
-) -> f64 {
+/// A direction of looking: from where, and where highlights are.
+pub(super) struct Look {
+    /// Unit, camera frame.
+    pub towards_camera: Vector3<f64>,
+    /// Unit normal of what shows the highlight of each light at its brightest; zero where there is none.
+    halves: [Vector3<f64>; LIGHTS.len()],
+}
+
+impl Look {
+    /// Along a ray from the camera, of any length; `None` if that is zero.
+    pub fn along(ray: &Vector3<f64>) -> Option<Look> {
+        let towards_camera = (-ray).try_normalize(0.0)?;
+        let half = |(light, _): &(Vector3<f64>, f64)| {
+            let half = (light + towards_camera).try_normalize(1e-9);
+            half.unwrap_or_default()
+        };
+        let [key, fill] = &*UNIT_LIGHTS;
+        Some(Look {
+            halves: [half(key), half(fill)],
+            towards_camera,
+        })
+    }
+}
+
+/// Linear brightness of a surface with this unit normal.
+pub(super) fn shade(normal: &Vector3<f64>, look: &Look, params: &PhongParams) -> f64 {
     let mut scattered = AMBIENT + SKY * (0.5 - 0.5 * normal.y);
     let mut highlight = 0.0;
-    for &(light, strength) in &*UNIT_LIGHTS {
+    for (&(light, strength), half) in UNIT_LIGHTS.iter().zip(&look.halves) {
         let cosine = normal.dot(&light).max(0.0);
         scattered += strength * cosine;
-        if let Some(half) = (light + towards_camera).try_normalize(1e-9) {
-            highlight += strength * cosine * normal.dot(&half).max(0.0).powi(params.shininess);
-        }
+        highlight += strength * cosine * normal.dot(half).max(0.0).powi(params.shininess);
     }
     params.reflectance * scattered + params.specular * highlight
 }

@@ -5,7 +5,7 @@
 
 use super::{
     PhongParams, PictureView,
-    material::{linear_from_srgb, shade, srgb_from_linear},
+    material::{Look, linear_from_srgb, shade, srgb_from_linear},
 };
 use crate::geometry::{CameraModel, DepthBuffer, TriMesh, area_vector, rasterise};
 use depth_camera::Image;
@@ -68,22 +68,28 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// Mean of the samples of a pixel, encoded.
+    /// Mean of the samples of a pixel, encoded; all are looked at along the ray of its middle.
     fn pixel(&self, u: usize, v: usize, params: &PhongParams) -> [u8; 3] {
         const N: usize = SAMPLES * SAMPLES;
-        let (mut grey, mut n_covered) = (0.0, 0);
-        for sample in 0..N {
-            let (su, sv) = (
-                u * SAMPLES + sample % SAMPLES,
-                v * SAMPLES + sample / SAMPLES,
-            );
-            if let Some(brightness) = self.sample(su, sv, params) {
-                grey += brightness;
-                n_covered += 1;
-            }
+        const MIDDLE: f64 = (SAMPLES - 1) as f64 / 2.0;
+        let (first_u, first_v) = (u * SAMPLES, v * SAMPLES);
+        let samples = (0..N).map(|k| [first_u + k % SAMPLES, first_v + k / SAMPLES]);
+        let covered = samples.filter(|&[u, v]| *self.buffer.face.at(u, v) != u32::MAX);
+        let look = || {
+            let (u, v) = (first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
+            Look::along(&self.camera.unproject(u, v)?.push(1.0))
+        };
+        let n_covered = covered.clone().count();
+        if n_covered == 0 {
+            return params.background;
         }
+        let Some(look) = look() else {
+            return params.background;
+        };
+        let grey: f64 = covered
+            .map(|sample| self.sample(sample, &look, params).unwrap_or(0.0))
+            .sum();
         match n_covered {
-            0 => params.background,
             N => [srgb_from_linear(grey / N as f64); 3],
             _ => params.background.map(|code| {
                 let behind = (N - n_covered) as f64 * linear_from_srgb(code);
@@ -92,48 +98,44 @@ impl Scene<'_> {
         }
     }
 
-    /// Linear brightness of a sample; `None` where there is no surface.
-    fn sample(&self, u: usize, v: usize, params: &PhongParams) -> Option<f64> {
-        let face = *self.buffer.face.at(u, v);
-        if face == u32::MAX {
-            return None;
-        }
-        let ray = self.camera.unproject(u as f64, v as f64)?.push(1.0);
-        let point = Point3::from(ray * f64::from(*self.buffer.depth_m.at(u, v)));
-        let corners = self.faces[face as usize].map(|vertex| self.vertices[vertex as usize]);
+    /// Linear brightness of a covered sample; `None` where the surface has no normal.
+    fn sample(&self, [u, v]: [usize; 2], look: &Look, params: &PhongParams) -> Option<f64> {
+        let face = *self.buffer.face.at(u, v) as usize;
+        let corners = self.faces[face].map(|vertex| self.vertices[vertex as usize]);
         let face_normal = area_vector(corners);
         let normal = if params.flat {
             face_normal
         } else {
-            self.smooth_normal(face as usize, &corners, &point)
-                .unwrap_or(face_normal)
+            let ray = self.camera.unproject(u as f64, v as f64)?.push(1.0);
+            let point = Point3::from(ray * f64::from(*self.buffer.depth_m.at(u, v)));
+            let smooth = self.smooth_normal(face, &corners, &point, &face_normal);
+            match smooth.norm_squared() > 0.0 {
+                true => smooth,
+                false => face_normal,
+            }
         };
-        let towards_camera = (-ray).try_normalize(0.0)?;
-        let outside = face_normal.dot(&towards_camera) >= 0.0;
+        let outside = face_normal.dot(&look.towards_camera) >= 0.0;
         let normal = normal.try_normalize(0.0)? * if outside { 1.0 } else { -1.0 };
-        let brightness = shade(&normal, &towards_camera, params);
+        let brightness = shade(&normal, look, params);
         Some(brightness * if outside { 1.0 } else { INSIDE })
     }
 
-    /// The vertex normals interpolated at a point of a face; `None` if they cancel.
+    /// The vertex normals interpolated at a point of a face, of any length; zero if they cancel.
     fn smooth_normal(
         &self,
         face: usize,
         corners: &[Point3<f64>; 3],
         point: &Point3<f64>,
-    ) -> Option<Vector3<f64>> {
-        let [a, b, c] = corners;
-        let twice_area = area_vector(*corners);
+        twice_area: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        let [a, b, c] = corners.map(|corner| corner - point);
         // Signed areas opposite to each corner; beyond an edge by rounding means on it.
-        let area = |p: &Point3<f64>, q: &Point3<f64>| {
-            (p - point).cross(&(q - point)).dot(&twice_area).max(0.0)
-        };
-        let weights = [area(b, c), area(c, a), area(a, b)];
+        let area = |p: &Vector3<f64>, q: &Vector3<f64>| p.cross(q).dot(twice_area).max(0.0);
+        let weights = [area(&b, &c), area(&c, &a), area(&a, &b)];
         let vertices = self.faces[face];
-        let sum: Vector3<f64> = (0..3)
+        (0..3)
             .map(|k| self.normals[vertices[k] as usize] * weights[k])
-            .sum();
-        sum.try_normalize(f64::MIN_POSITIVE)
+            .sum()
     }
 }
 

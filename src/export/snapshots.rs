@@ -69,6 +69,23 @@ pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), Exp
     Ok(())
 }
 
+/// Writes other masks to the snapshots that [`write_snapshots`] wrote to `dir`, the first mask to the first snapshot.
+///
+/// # Errors
+/// [`ExportError::Write`] if a file cannot be written.
+pub fn write_masks(dir: &Path, masks: &[Image<u8>]) -> Result<(), ExportError> {
+    let root = dir.join("snapshots");
+    let masks = masks.par_iter().enumerate();
+    masks.try_for_each(|(index, mask)| write_mask(&root.join(folder_name(index)), mask))
+}
+
+fn write_mask(folder: &Path, mask: &Image<u8>) -> Result<(), ExportError> {
+    let [_, path, ..] = FILES;
+    write_atomically(&folder.join(path), |file| {
+        file.write_all(&encode_png_grey8(mask)?)
+    })
+}
+
 pub(super) fn folder_name(index: usize) -> String {
     format!("{index:03}")
 }
@@ -95,7 +112,7 @@ fn check(record: &SnapshotRecord) -> Result<(), String> {
 }
 
 fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportError> {
-    let [ir, mask, depth, pose, meta] = FILES.map(|name| folder.join(name));
+    let [ir, _, depth, pose, meta] = FILES.map(|name| folder.join(name));
     fs::create_dir_all(folder).map_err(|cause| ExportError::write(folder, cause))?;
     // While the files are of two exports, nothing may say that they belong together.
     remove_file(&meta).map_err(|cause| ExportError::write(&meta, cause))?;
@@ -107,9 +124,7 @@ fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportEr
         }
         None => remove_file(&unlit).map_err(|cause| ExportError::write(&unlit, cause))?,
     }
-    write_atomically(&mask, |file| {
-        file.write_all(&encode_png_grey8(record.mask)?)
-    })?;
+    write_mask(folder, record.mask)?;
     let units = record
         .depth_m
         .map(|z| (DEPTH_UNITS_PER_METRE * z).round() as u16);

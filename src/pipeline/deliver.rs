@@ -5,7 +5,7 @@ use crate::{
     capture::RecorderSummary,
     export::{
         ExportError, Report, ReportPictures, SnapshotRecord, VertexAttributes, write_atomically,
-        write_glb, write_ply, write_report_html, write_report_json, write_snapshots,
+        write_glb, write_masks, write_ply, write_report_html, write_report_json, write_snapshots,
         write_trajectory,
     },
     geometry::{Pose, TriMesh},
@@ -14,6 +14,7 @@ use crate::{
     snapshot::ShadingSnapshot,
 };
 use depth_camera::{CameraInfo, Image};
+use rayon::prelude::*;
 use std::{
     io::Write,
     path::{Path, PathBuf},
@@ -106,25 +107,17 @@ impl Outbox {
             n_views: &evidence.n_views,
             label: &refinement.labels,
         });
-        self.write(REFINED_PLY, |path| write_ply(path, mesh, &normals, known));
-        self.write(REFINED_GLB, |path| write_glb(path, mesh, &normals, known));
+        rayon::join(
+            || self.write(REFINED_PLY, |path| write_ply(path, mesh, &normals, known)),
+            || self.write(REFINED_GLB, |path| write_glb(path, mesh, &normals, known)),
+        );
     }
 
-    /// Writes the shading images. `masks` says for each which pixels refinement could use; before there are any, the mask
-    /// says where there is depth.
-    pub fn snapshots(
-        &self,
-        snapshots: &[ShadingSnapshot],
-        masks: Option<&[Image<u8>]>,
-        info: &CameraInfo,
-    ) {
+    /// Writes the shading images; their masks say where there is depth.
+    pub fn snapshots(&self, snapshots: &[ShadingSnapshot], info: &CameraInfo) {
         let images: Vec<(Image<u16>, Image<u8>)> = snapshots
-            .iter()
-            .enumerate()
-            .map(|(k, snapshot)| {
-                let mask = masks.map_or_else(|| depth_mask(snapshot), |masks| masks[k].clone());
-                (counts(&snapshot.ir_counts), mask)
-            })
+            .par_iter()
+            .map(|snapshot| (counts(&snapshot.ir_counts), depth_mask(snapshot)))
             .collect();
         let unlit = snapshots.iter().map(|snapshot| &snapshot.unlit_counts);
         let unlit: Vec<Option<Image<u16>>> =
@@ -144,6 +137,11 @@ impl Outbox {
             })
             .collect();
         self.write(SNAPSHOTS, |_| write_snapshots(&self.folder, &records));
+    }
+
+    /// Writes which pixels of the shading images refinement could use, in place of the masks of [`Outbox::snapshots`].
+    pub fn masks(&self, masks: &[Image<u8>]) {
+        self.write(SNAPSHOTS, |_| write_masks(&self.folder, masks));
     }
 
     /// Takes what the recorder wrote into the account, and writes the trajectory.

@@ -60,9 +60,12 @@ impl RecordedScan {
     /// # Errors
     /// If a file is missing or spoilt, or there are no shading images.
     pub fn read(folder: &Path) -> Result<Self, RecordedScanError> {
-        let base = read_ply(&folder.join(BASE_PLY))?;
+        let (base, stored) = rayon::join(
+            || read_ply(&folder.join(BASE_PLY)),
+            || read_snapshots(folder),
+        );
+        let (base, stored) = (base?, stored?);
         let trajectory = read_trajectory(&folder.join(TRAJECTORY))?;
-        let stored = read_snapshots(folder)?;
         let mut info = None;
         let mut accepted = Vec::with_capacity(stored.len());
         for (index, snapshot) in stored.into_iter().enumerate() {

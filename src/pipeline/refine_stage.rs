@@ -84,7 +84,7 @@ pub fn run(
     let base = summary.object.as_ref().unwrap_or(&scan.base);
     summary.base_mesh = Some(export_clock.time(|| deliver_base(setup, base, outbox)));
     let refined = shading_images(setup, &scan).and_then(|snapshots| {
-        let write = || outbox.snapshots(snapshots, None, &setup.info);
+        let write = || outbox.snapshots(snapshots, &setup.info);
         export_clock.time(|| setup.pool.install(write));
         if setup.refine.is_none() {
             return Err(SWITCHED_OFF.to_owned());
@@ -118,13 +118,9 @@ pub fn run(
                 steps = refinement.iterations.len(),
                 "surface refined"
             );
-            export_clock.time(|| {
-                outbox.refined_mesh(&refinement);
-                let write = |selection: &SnapshotSelection| {
-                    outbox.snapshots(&selection.accepted, Some(&refinement.masks), &setup.info);
-                };
-                setup.pool.install(|| scan.snapshots.iter().for_each(write));
-            });
+            let mesh = || outbox.refined_mesh(&refinement);
+            let masks = || outbox.masks(&refinement.masks);
+            export_clock.time(|| setup.pool.join(mesh, masks));
             summary.refinement = Some(refinement);
         }
         Err(reason) => {

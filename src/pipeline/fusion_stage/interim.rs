@@ -112,7 +112,7 @@ impl Interim {
         let outbox = Outbox::inside(folder);
         outbox.base_mesh(&self.base);
         outbox.trajectory(&self.trajectory);
-        outbox.snapshots(&self.snapshots, None, info);
+        outbox.snapshots(&self.snapshots, info);
         match outbox.account().failures.first() {
             Some(failure) => Err(failure.clone()),
             None => Ok(()),
