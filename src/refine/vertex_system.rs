@@ -108,20 +108,37 @@ impl VertexSystem {
         }
         let faces = (0..self.faces.len()).into_par_iter().with_min_len(TILE);
         let bounds: Vec<FaceBound> = faces.map(|face| self.bound(face)).collect();
-        let faces = self.faces.iter().zip(&couplings.of_faces);
-        for ((face, sides), bound) in faces.zip(&bounds) {
+        for (sides, bound) in couplings.of_faces.iter().zip(&bounds) {
             for corner in 0..3 {
-                let vertex = face[corner] as usize;
-                matrix.diagonal[vertex] += bound.jtj[(corner, corner)];
-                matrix.gradient[vertex] += bound.gradient[corner];
                 matrix.off_diagonal[sides[corner] as usize] +=
                     bound.jtj[(corner, (corner + 1) % 3)];
-                let label = problem.labels[vertex] as usize;
-                for (&other, by) in face.iter().zip(&bound.couplings[corner]) {
-                    matrix.groups[label].coupling[other as usize] += by;
-                }
             }
         }
+        let mut tiles: Vec<Vec<&mut [f64]>> = Vec::new();
+        tiles.resize_with(matrix.diagonal.len().div_ceil(TILE), Vec::new);
+        for group in &mut matrix.groups {
+            let couplings = group.coupling.chunks_mut(TILE);
+            tiles
+                .iter_mut()
+                .zip(couplings)
+                .for_each(|(tile, couplings)| tile.push(couplings));
+        }
+        let (diagonals, gradients) = (&mut matrix.diagonal, &mut matrix.gradient);
+        let tiles = tiles.into_par_iter().zip(diagonals.par_chunks_mut(TILE));
+        let tiles = tiles.zip(gradients.par_chunks_mut(TILE)).enumerate();
+        tiles.for_each(|(tile, ((mut by_group, diagonal), gradient))| {
+            for (k, (diagonal, gradient)) in diagonal.iter_mut().zip(gradient).enumerate() {
+                for [face, corner] in couplings.corners.of(tile * TILE + k) {
+                    let bound = &bounds[face];
+                    *diagonal += bound.jtj[(corner, corner)];
+                    *gradient += bound.gradient[corner];
+                    for (vertex, coupling) in self.faces[face].iter().zip(&bound.couplings) {
+                        let group = problem.labels[*vertex as usize] as usize;
+                        by_group[group][k] += coupling[corner];
+                    }
+                }
+            }
+        });
     }
 
     fn bound(&self, face: usize) -> FaceBound {
