@@ -12,6 +12,7 @@ use super::{
 };
 use depth_camera::Image;
 use maud::{Markup, html};
+use rayon::prelude::*;
 use std::{
     io::{self, Write},
     path::Path,
@@ -77,24 +78,22 @@ impl EncodedPictures {
         let grey = |image: &Image<u8>| encode_png_grey8(image).map(|png| data_address(&png));
         let thumbnail =
             |(caption, image): &(String, Image<u8>)| Ok((caption.clone(), grey(image)?));
+        let ReportPictures {
+            base,
+            refined,
+            thumbnails,
+            depth_thumbnail,
+            fields,
+        } = pictures;
         Ok(EncodedPictures {
-            base: pictures.base.iter().map(rgb).collect::<io::Result<_>>()?,
-            refined: pictures
-                .refined
-                .iter()
-                .map(rgb)
-                .collect::<io::Result<_>>()?,
-            thumbnails: pictures
-                .thumbnails
-                .iter()
+            base: base.par_iter().map(rgb).collect::<io::Result<_>>()?,
+            refined: refined.par_iter().map(rgb).collect::<io::Result<_>>()?,
+            thumbnails: thumbnails
+                .par_iter()
                 .map(thumbnail)
                 .collect::<io::Result<_>>()?,
-            depth: pictures.depth_thumbnail.as_ref().map(grey).transpose()?,
-            fields: pictures
-                .fields
-                .iter()
-                .map(field)
-                .collect::<io::Result<_>>()?,
+            depth: depth_thumbnail.as_ref().map(grey).transpose()?,
+            fields: fields.par_iter().map(field).collect::<io::Result<_>>()?,
         })
     }
 }
