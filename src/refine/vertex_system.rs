@@ -109,9 +109,8 @@ impl VertexSystem {
         let faces = (0..self.faces.len()).into_par_iter().with_min_len(TILE);
         let bounds: Vec<FaceBound> = faces.map(|face| self.bound(face)).collect();
         for (sides, bound) in couplings.of_faces.iter().zip(&bounds) {
-            for corner in 0..3 {
-                matrix.off_diagonal[sides[corner] as usize] +=
-                    bound.jtj[(corner, (corner + 1) % 3)];
+            for (corner, &side) in sides.iter().enumerate() {
+                matrix.off_diagonal[side as usize] += bound.jtj[(corner, (corner + 1) % 3)];
             }
         }
         let mut tiles: Vec<Vec<&mut [f64]>> = Vec::new();
