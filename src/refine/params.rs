@@ -19,7 +19,7 @@ pub struct RefineParams {
     pub max_vertices: usize,
     /// Outer rounds, Eq. (9), before the last one.
     pub n_rounds: usize,
-    /// Accepted Levenberg–Marquardt steps a round at most.
+    /// Accepted Levenberg–Marquardt steps a round at most; on meshes coarser than the finest half as many again.
     pub max_steps: usize,
     /// Size of the patches whose mean displacement the depth sensor holds, metres: Eq. (8).
     pub patch_m: f64,

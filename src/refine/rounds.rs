@@ -140,7 +140,7 @@ impl Rounds<'_> {
         }
         let problem = self.problem(&observations, albedo, loss);
         let solver = SolverParams {
-            max_steps: self.params.max_steps,
+            max_steps: self.max_steps(),
             min_decrease: 1e-4,
             max_step_m: 0.4 * self.level.edge_length_m,
         };
@@ -155,6 +155,16 @@ impl Rounds<'_> {
         );
         albedo.repaint(groups);
         status
+    }
+
+    /// Accepted steps of a round at most.
+    fn max_steps(&self) -> usize {
+        let on_finest = self.params.max_steps;
+        match self.level.edge_length_m > self.params.edge_length_m {
+            // Farther from where it ends, and soon done.
+            true => on_finest + on_finest.div_ceil(2),
+            false => on_finest,
+        }
     }
 
     /// The priors of its mesh.
