@@ -193,6 +193,35 @@ mod tests {
     }
 
     #[test]
+    fn other_masks_leave_the_rest() {
+        let folder = tempfile::tempdir().unwrap();
+        let ir = Image::from_vec(4, 3, (0..12u16).map(|k| k * 5000).collect());
+        let (all, none) = (Image::filled(4, 3, 255u8), Image::filled(4, 3, 0u8));
+        let depth_m = Image::filled(4, 3, 0.7f32);
+        let record = SnapshotRecord {
+            ir: &ir,
+            unlit: None,
+            mask: &all,
+            depth_m: &depth_m,
+            world_from_camera: Pose::identity(),
+            meta: json!({}),
+            device_time_secs: 0.0,
+        };
+        write_snapshots(folder.path(), &[record.clone(), record]).unwrap();
+        let read = |index: usize| {
+            let of_snapshot = folder.path().join("snapshots").join(folder_name(index));
+            FILES.map(|name| fs::read(of_snapshot.join(name)).unwrap())
+        };
+        let before = [read(0), read(1)];
+        write_masks(folder.path(), &[all.clone(), none.clone()]).unwrap();
+        assert!(read(0) == before[0]);
+        for ((name, before), after) in FILES.iter().zip(&before[1]).zip(read(1)) {
+            assert_eq!(*before == after, *name != "mask.png", "{name}");
+        }
+        assert_eq!(read(1)[1], encode_png_grey8(&none).unwrap());
+    }
+
+    #[test]
     fn a_mask_of_another_size_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (ir, mask) = (Image::filled(4, 3, 0u16), Image::filled(3, 4, 0u8));
