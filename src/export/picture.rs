@@ -75,21 +75,22 @@ impl Scene<'_> {
         let (first_u, first_v) = (u * SAMPLES, v * SAMPLES);
         let samples = (0..N).map(|k| [first_u + k % SAMPLES, first_v + k / SAMPLES]);
         let covered = samples.filter(|&[u, v]| *self.buffer.face.at(u, v) != u32::MAX);
-        let look = || {
-            let (u, v) = (first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
-            Look::along(&self.camera.unproject(u, v)?.push(1.0))
-        };
-        let n_covered = covered.clone().count();
-        if n_covered == 0 {
+        let mut covered = covered.peekable();
+        if covered.peek().is_none() {
             return params.background;
         }
-        let Some(look) = look() else {
+        let (middle_u, middle_v) = (first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
+        let ray = self.camera.unproject(middle_u, middle_v);
+        let Some(look) = ray.and_then(|ray| Look::along(&ray.push(1.0))) else {
             return params.background;
         };
-        let grey: f64 = covered
-            .map(|sample| self.sample(sample, &look, params).unwrap_or(0.0))
-            .sum();
+        let (mut grey, mut n_covered) = (0.0, 0);
+        for brightness in covered.filter_map(|sample| self.sample(sample, &look, params)) {
+            grey += brightness;
+            n_covered += 1;
+        }
         match n_covered {
+            0 => params.background,
             N => [srgb_from_linear(grey / N as f64); 3],
             _ => params.background.map(|code| {
                 let behind = (N - n_covered) as f64 * linear_from_srgb(code);

@@ -159,6 +159,22 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    fn record<'a>(
+        ir: &'a Image<u16>,
+        mask: &'a Image<u8>,
+        depth_m: &'a Image<f32>,
+    ) -> SnapshotRecord<'a> {
+        SnapshotRecord {
+            ir,
+            unlit: None,
+            mask,
+            depth_m,
+            world_from_camera: Pose::identity(),
+            meta: json!({}),
+            device_time_secs: 0.0,
+        }
+    }
+
     #[test]
     fn a_second_export_leaves_no_snapshot_of_the_first() {
         let folder = tempfile::tempdir().unwrap();
@@ -166,13 +182,11 @@ mod tests {
         let mask = Image::filled(4, 3, 255u8);
         let depth_m = Image::filled(4, 3, 0.7f32);
         let record = |k: usize| SnapshotRecord {
-            ir: &ir,
             unlit: (k == 1).then_some(&ir),
-            mask: &mask,
-            depth_m: &depth_m,
             world_from_camera: Pose::translation(0.1 * k as f64, 0.0, 0.5),
             meta: json!({"frame_id": k}),
             device_time_secs: k as f64,
+            ..record(&ir, &mask, &depth_m)
         };
         write_snapshots(folder.path(), &[record(0), record(1), record(2)]).unwrap();
         let root = folder.path().join("snapshots");
@@ -198,15 +212,7 @@ mod tests {
         let ir = Image::from_vec(4, 3, (0..12u16).map(|k| k * 5000).collect());
         let (all, none) = (Image::filled(4, 3, 255u8), Image::filled(4, 3, 0u8));
         let depth_m = Image::filled(4, 3, 0.7f32);
-        let record = SnapshotRecord {
-            ir: &ir,
-            unlit: None,
-            mask: &all,
-            depth_m: &depth_m,
-            world_from_camera: Pose::identity(),
-            meta: json!({}),
-            device_time_secs: 0.0,
-        };
+        let record = record(&ir, &all, &depth_m);
         write_snapshots(folder.path(), &[record.clone(), record]).unwrap();
         let read = |index: usize| {
             let of_snapshot = folder.path().join("snapshots").join(folder_name(index));
@@ -226,16 +232,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (ir, mask) = (Image::filled(4, 3, 0u16), Image::filled(3, 4, 0u8));
         let depth_m = Image::filled(4, 3, 0.7f32);
-        let record = SnapshotRecord {
-            ir: &ir,
-            unlit: None,
-            mask: &mask,
-            depth_m: &depth_m,
-            world_from_camera: Pose::identity(),
-            meta: json!({}),
-            device_time_secs: 0.0,
-        };
-        let error = write_snapshots(folder.path(), &[record])
+        let error = write_snapshots(folder.path(), &[record(&ir, &mask, &depth_m)])
             .unwrap_err()
             .to_string();
         assert!(error.contains("3×4") && !folder.path().join("snapshots").exists());

@@ -1,5 +1,5 @@
-//! Cholesky factors, in single precision, of sparse symmetric matrices of one pattern, whose order of elimination is found once: multifrontal (Duff and
-//! Reid 1983), over the tree of a [`Dissection`].
+//! Cholesky factors, in single precision, of sparse symmetric matrices of one pattern, whose order of elimination is found once:
+//! multifrontal (Duff and Reid 1983), over the tree of a [`Dissection`].
 //!
 //! A node's *front* has a row for each of its own unknowns, the pivots J, and for each later one that they meet, the boundary I. What it
 //! subtracts from the boundary goes to its parent's front. With `A = L Lᵀ` and `Z = A⁻¹`, the inverse's entries within the fronts follow
@@ -7,7 +7,7 @@
 //! `W = L_IJ L_JJ⁻¹`. Branches are independent of one another, upwards and downwards, and every sum is in one order whatever
 //! thread it is on.
 
-use super::dissection::{Dissection, Graph, Node};
+use super::dissection::{Dissection, Graph, Node, both};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
@@ -206,10 +206,7 @@ impl Analysis {
         far: impl FnOnce() -> B + Send,
     ) -> (A, B) {
         let (Node { pivots, first, .. }, _) = self.at(node);
-        match pivots.start - first > PARALLEL {
-            true => rayon::join(near, far),
-            false => (near(), far()),
-        }
+        both(pivots.start - first > PARALLEL, near, far)
     }
 }
 

@@ -164,7 +164,7 @@ struct Members<'a> {
     node_of: Vec<u32>,
 }
 
-/// How often each separator is made smaller at most, to one side and to the other in turn.
+/// How often each separator is made smaller at most, to one side and to the other in turn; arbitrary.
 const THINNINGS: usize = 8;
 /// In place of an unknown.
 const NONE: u32 = u32::MAX;
@@ -279,7 +279,7 @@ impl Cutter<'_> {
         }
         let [near, far] = halves;
         let (near, far) = both(
-            near.len().min(far.len()),
+            near.len().min(far.len()) > PARALLEL,
             || self.dissect(near, 2 * number),
             || self.dissect(far, 2 * number + 1),
         );
@@ -300,7 +300,7 @@ impl Cutter<'_> {
         };
         let n_below = |node: usize| nodes[node].pivots.end - nodes[node].first;
         let (near, far) = both(
-            n_below(near).min(n_below(far)),
+            n_below(near).min(n_below(far)) > PARALLEL,
             || self.dissect_below(near, nodes, members, 2 * number),
             || self.dissect_below(far, nodes, members, 2 * number + 1),
         );
@@ -438,13 +438,13 @@ impl Cutter<'_> {
     }
 }
 
-/// Dissects both halves, at the same time if they are large.
-fn both(
-    n_smaller: usize,
-    near: impl FnOnce() -> Dissection + Send,
-    far: impl FnOnce() -> Dissection + Send,
-) -> (Dissection, Dissection) {
-    match n_smaller > PARALLEL {
+/// Does what is to be done for both halves, at the same time if that is worth a thread.
+pub fn both<A: Send, B: Send>(
+    at_once: bool,
+    near: impl FnOnce() -> A + Send,
+    far: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    match at_once {
         true => rayon::join(near, far),
         false => (near(), far()),
     }

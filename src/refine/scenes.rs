@@ -245,18 +245,17 @@ pub fn surface_of(mesh: TriMesh) -> Surface {
     }
 }
 
-/// What one solve makes of a mesh with edges of `params.edge_length_m`, and of an albedo to begin with, by views of a `hidden`
-/// surface.
-pub fn solved(
+/// Runs what asks how views of a `hidden` surface explain a mesh with edges of `params.edge_length_m`.
+pub fn with_problem<T>(
     hidden: &RippledPlane,
-    (mesh, albedo): (TriMesh, f64),
+    mesh: TriMesh,
     params: &RefineParams,
-    solver: &SolverParams,
-) -> (Surface, f64) {
+    run: impl FnOnce(&Problem, Surface, &Pattern) -> T,
+) -> T {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let views = views(hidden, &mesh, &optics, &poses(0.5));
-    let mut surface = surface_of(mesh);
+    let surface = surface_of(mesh);
     let sites = Sites::new(params.sites, &surface.mesh, &views, ViewSet::MAX);
     let edges = EdgeAdjacency::new(&surface.mesh);
     let patches = patches::cut(&surface.mesh, &surface.directions, params.patch_m);
@@ -274,14 +273,21 @@ pub fn solved(
         jacobian: params.jacobian,
     };
     let pattern = Pattern::new(&surface.mesh.vertices, couplings);
-    let mut albedos = vec![albedo];
-    minimise(
-        &mut surface,
-        &mut albedos,
-        &problem,
-        &pattern,
-        solver,
-        |_| true,
-    );
-    (surface, albedos[0])
+    run(&problem, surface, &pattern)
+}
+
+/// What one solve makes of such a mesh, and of an albedo to begin with.
+pub fn solved(
+    hidden: &RippledPlane,
+    (mesh, albedo): (TriMesh, f64),
+    params: &RefineParams,
+    solver: &SolverParams,
+) -> (Surface, f64) {
+    with_problem(hidden, mesh, params, |problem, mut surface, pattern| {
+        let mut albedos = vec![albedo];
+        minimise(&mut surface, &mut albedos, problem, pattern, solver, |_| {
+            true
+        });
+        (surface, albedos[0])
+    })
 }

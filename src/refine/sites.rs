@@ -140,14 +140,9 @@ impl Sites {
 
     /// The same sites, seen by a set of views alone.
     pub fn only(&self, set: ViewSet) -> Sites {
-        Sites {
-            kind: self.kind,
-            points: self.points.clone(),
-            normals: self.normals.clone(),
-            areas_m2: self.areas_m2.clone(),
-            visible: self.visible.iter().map(|visible| visible & set).collect(),
-            gloss: self.gloss.clone(),
-        }
+        let mut sites = self.clone();
+        sites.visible.iter_mut().for_each(|visible| *visible &= set);
+        sites
     }
 
     /// The same sites with some gloss.

@@ -402,16 +402,9 @@ fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::super::RefineParams;
-    use super::super::observations::Observations;
-    use super::super::rounds::{final_loss, prior_weights};
-    use super::super::scenes::{
-        ALBEDO, RippledPlane, calibration, optics, poses, rays, surface_of, views,
-    };
-    use super::super::site_motion::{Linearisation, SiteMotion};
-    use super::super::sites::{SiteKind, Sites, ViewSet};
+    use super::super::scenes::{ALBEDO, RippledPlane, with_problem};
+    use super::super::sites::SiteKind;
     use super::*;
-    use crate::geometry::EdgeAdjacency;
-    use crate::refine::JacobianMode;
 
     /// The whole damped system, albedos last, and its right side.
     fn dense(
@@ -448,48 +441,29 @@ mod tests {
             amplitude_m: 0.0003,
         };
         let params = RefineParams {
+            edge_length_m: 0.004,
             sites: SiteKind::Face,
             ..RefineParams::default()
         };
-        let edge_m = 0.004;
-        let mesh = RippledPlane { amplitude_m: 0.0 }.mesh(edge_m);
-        let (rays, calibration) = (rays(), calibration());
-        let optics = optics(&rays, &calibration);
-        let views = views(&hidden, &mesh, &optics, &poses(0.4));
-        let surface = surface_of(mesh);
-        let sites = Sites::new(params.sites, &surface.mesh, &views, ViewSet::MAX);
-        let motion = SiteMotion::of(&surface, params.sites, Linearisation::Full);
-        let edges = EdgeAdjacency::new(&surface.mesh);
-        let n_sites = sites.points.len();
-        let problem = Problem {
-            sites: params.sites,
-            observations: &Observations::new(&sites, &views, motion, None),
-            labels: &vec![0; n_sites],
-            tints: &vec![1.0; n_sites],
-            loss: final_loss(1.0),
-            priors: prior_weights(&params, edge_m),
-            patches: &[],
-            edges: &edges,
-            jacobian: JacobianMode::Analytic,
-        };
-        let couplings = Couplings::new(&surface.mesh, &edges, &[]);
-        let pattern = Pattern::new(&surface.mesh.vertices, couplings);
-        let matrix = problem.linearise(&surface, &[1.1 * ALBEDO], pattern.couplings());
-        for damping in [1e-8, 1e-3] {
-            let (all, right) = dense(&matrix, &pattern.couplings().pairs, damping);
-            let expected = all.cholesky().expect("positive definite").solve(&right);
-            let step = pattern.solve(&problem, &matrix, damping);
-            let Step {
-                displacement,
-                log_albedo,
-            } = step.expect("positive definite");
-            let n = displacement.len();
-            let largest = expected.rows(0, n).amax();
-            assert!(largest > 1e-4, "{largest}");
-            for (x, expected) in displacement.iter().zip(&expected) {
-                assert!((x - expected).abs() < 1e-9 * largest, "{x} for {expected}");
+        let plane = RippledPlane { amplitude_m: 0.0 }.mesh(params.edge_length_m);
+        with_problem(&hidden, plane, &params, |problem, surface, pattern| {
+            let matrix = problem.linearise(&surface, &[1.1 * ALBEDO], pattern.couplings());
+            for damping in [1e-8, 1e-3] {
+                let (all, right) = dense(&matrix, &pattern.couplings().pairs, damping);
+                let expected = all.cholesky().expect("positive definite").solve(&right);
+                let step = pattern.solve(problem, &matrix, damping);
+                let Step {
+                    displacement,
+                    log_albedo,
+                } = step.expect("positive definite");
+                let n = displacement.len();
+                let largest = expected.rows(0, n).amax();
+                assert!(largest > 1e-4, "{largest}");
+                for (x, expected) in displacement.iter().zip(&expected) {
+                    assert!((x - expected).abs() < 1e-9 * largest, "{x} for {expected}");
+                }
+                assert!((log_albedo[0] / expected[n] - 1.0).abs() < 1e-9);
             }
-            assert!((log_albedo[0] / expected[n] - 1.0).abs() < 1e-9);
-        }
+        });
     }
 }
