@@ -4,7 +4,6 @@ use super::degeneracy::Degeneracy;
 use super::eye::Eye;
 use super::infrared::Infrared;
 use super::normal_equations::NormalEquations;
-use super::pyramid::{Level, N_REDUCED};
 use super::volume::TsdfVolume;
 use super::{Fit, FusionParams, FusionStep, MODEL_LEVEL, OnStep, gates, icp, sdf_alignment};
 use crate::geometry::Pose;
@@ -22,6 +21,15 @@ pub struct AlignedPose {
     pub conditioning: f64,
 }
 
+/// What holds the camera where the geometry of the frames before let it slide.
+#[derive(Clone, Copy)]
+pub struct Holding<'a> {
+    /// Where that is.
+    pub degeneracy: &'a Degeneracy,
+    /// The images.
+    pub infrared: &'a Infrared,
+}
+
 /// Aligns the frame in hand to the raycast model, then to the signed distances, and where these let it slide to the infrared
 /// images; `None` where nothing matches at all.
 pub fn align(
@@ -30,7 +38,7 @@ pub fn align(
     volume: &TsdfVolume,
     guess: &Pose,
     params: &FusionParams,
-    infrared: Option<&Infrared>,
+    holding: Option<Holding>,
     on_step: &mut OnStep,
 ) -> Option<(Pose, Fit)> {
     let (arch, noise, icp) = (eye.arch, &eye.noise, &params.icp);
@@ -39,13 +47,12 @@ pub fn align(
     let levels = &eye.frame.reduced;
     let (pose, equations) =
         sdf_alignment::align(arch, levels, volume, &pose, noise, icp.sdf_iterations)?;
-    let degeneracy = Degeneracy::of(shape_level(levels), noise, &pose)?;
     let aligned = AlignedPose {
         pose,
         conditioning: equations.conditioning(SIZE_M),
         equations,
     };
-    let held = infrared.and_then(|images| images.hold(eye, volume, &degeneracy, &aligned));
+    let held = holding.and_then(|by| by.infrared.hold(eye, volume, by.degeneracy, &aligned));
     let AlignedPose {
         pose,
         equations,
@@ -57,19 +64,10 @@ pub fn align(
         rmse_m: equations.rmse_m(),
         conditioning,
         see_through_share: icp::see_through_share(level, model, &pose, volume.voxel_size_m()),
-        held_share: degeneracy.least_share,
+        // Told of the frames up to this one, if it is accepted.
+        held_share: 1.0,
         fitness: 0.0,
     };
     fit.fitness = gates::fitness(&fit, &eye.frame, noise, params);
-    on_step(FusionStep::SdfAlignment);
     Some((pose, fit))
-}
-
-/// The level whose normals tell what the geometry holds: the coarsest that still shows the scene's shape.
-fn shape_level(levels: &[Level; N_REDUCED]) -> &Level {
-    /// A Kinect II has 3392 pixels reduced by 8; with a quarter of that a plaque looks like a wall.
-    const MIN_PIXELS: usize = 2000;
-    let coarse = levels.iter().rev();
-    let mut detailed = coarse.filter(|level| level.depth.len() >= MIN_PIXELS);
-    detailed.next().unwrap_or(&levels[0])
 }

@@ -1,26 +1,35 @@
-//! Directions in which the geometry lets the camera slide: those along a plane.
+//! Directions in which the geometry lets the camera slide: along a plane, about the axis of a cylinder or a ball on a table.
 //!
 //! They are the eigenvectors of JᵀWJ whose eigenvalues are small (Zhang et al. 2016). So that angles and lengths compare, the
 //! increment is taken about the middle of the points, and angles are multiplied by how far the points lie from it.
 //!
-//! The normals are those of a coarse level of the frame. Gradients of the signed distances will not do: the noise of a young model
-//! tilts them by 20°, and makes a bare wall look as firm as a plaque.
+//! Noise of the normals holds what no shape does: it adds as much to the turn of a ball on a table as the shape of a bust from
+//! behind. So each point's two normals, that of the frame and that of the model there, make one factor each of its part, as
+//! (a bᵀ + b aᵀ)/2: their noise has nothing in common and has no mean in the product, whose eigenvalues may come out below 0.
+//! What is left of it in one frame, some 0.0003, is a third of that in the mean of the last ones.
 //!
-//! Not told: the turn of a ball on a table about its upright axis, which holds no less than a bust on a plinth.
+//! The frame's normals are those of a coarse level.
 
+use super::eye::Eye;
+use super::icp::{Rotation, rows, turn};
 use super::noise::DepthNoise;
-use super::normal_equations::NormalEquations;
-use super::pyramid::Level;
+use super::normal_equations::{NormalEquations, Rows};
+use super::points::{self, Points, Residuals};
+use super::pyramid::{Level, N_REDUCED};
+use super::volume::TsdfVolume;
+use crate::geometry::lanes::LANES;
 use crate::geometry::{Pose, increment};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-/// Below this mean square share of the residuals' direction a motion is not held by the geometry: sensor noise alone makes
-/// 0.0003 of a wall. Recorded objects have 0.0011 (a bust from behind), 0.0019 (a relief) and more; with 0.002 here, images
-/// took the relief's path from 2.14 to 2.45 mm of error. A ball on a table has 0.0010 to 0.0013.
-pub const MAX_DEGENERATE_SHARE: f64 = 0.0008;
+/// Below this mean square share of the residuals' direction a motion is not held by the geometry. A simulated ball and a cylinder on
+/// a table have 0.0002 at most, a wall 0.0001; recorded objects and a desk 0.0033 at least.
+pub const MAX_DEGENERATE_SHARE: f64 = 0.001;
 
 /// Below this share a view is kept to hold the frames to come: geometry is lost over several frames.
 pub const HARDLY_HELD_SHARE: f64 = 3.0 * MAX_DEGENERATE_SHARE;
+
+/// How far a hand lets the camera be from where its motion leads within a frame, metres, along directions that nothing holds.
+const START_SIGMA_M: f64 = 0.005;
 
 /// A change of variables: increments about the middle of the points, angles times their spread (m).
 #[derive(Clone, Copy, Debug)]
@@ -53,66 +62,102 @@ impl Scaling {
     }
 }
 
-/// How the geometry holds the camera.
+/// Frames in the mean: the camera sees the same by then, from a little farther on.
+const N_FRAMES: f64 = 10.0;
+/// With fewer frames nothing is said to be free: a model of two frames is mostly noise.
+const MIN_FRAMES: f64 = 3.0;
+
+/// How the geometry of the last frames held the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Degeneracy {
+    /// Of the last frame.
     scaling: Scaling,
+    /// JᵀWJ by scaled increments as a share of the weight, mean of so many frames.
+    shares: Matrix6<f64>,
+    n_frames: f64,
     /// Projects scaled increments onto the directions that are not held.
     free: Matrix6<f64>,
-    /// The least eigenvalue as a share of the residuals' weight, 0 to 1.
-    pub least_share: f64,
-    /// How many directions are not held.
-    pub n_free: usize,
+    is_free: bool,
+    /// The least eigenvalue of the shares, 0 to 1.
+    least_share: f64,
 }
 
 impl Degeneracy {
-    /// Which directions a level's points and normals hold, seen from a pose; `None` without points.
-    pub fn of(level: &Level, noise: &DepthNoise, world_from_camera: &Pose) -> Option<Self> {
+    /// Whether there are directions that are not held.
+    pub fn is_free(&self) -> bool {
+        self.is_free
+    }
+
+    /// The least share with which a motion is held, 0 to 1.
+    pub fn least_share(&self) -> f64 {
+        self.least_share
+    }
+
+    /// With the frame in hand, seen from its pose, and the model, which does not have that frame yet; `None` as long as nothing is
+    /// seen of the model.
+    pub fn after(
+        before: Option<&Self>,
+        eye: &Eye,
+        volume: &TsdfVolume,
+        world_from_camera: &Pose,
+    ) -> Option<Self> {
+        let (arch, noise, level) = (eye.arch, &eye.noise, shape_level(&eye.frame.reduced));
         let rotation = world_from_camera.rotation.to_rotation_matrix();
+        let normals = |of_model| TwoNormals {
+            volume,
+            rotation: rows(rotation.matrix()),
+            centre: world_from_camera.translation.vector.cast::<f32>().into(),
+            noise,
+            of_model,
+        };
+        let half_sum = points::equations(arch, level, &normals(0.5));
+        if half_sum.weight() == 0.0 {
+            return before.copied();
+        }
+        let half_difference = points::equations(arch, level, &normals(-0.5));
         let points = || {
             (0..level.depth.len()).filter_map(|pixel| {
-                let normal = Vector3::from([0, 1, 2].map(|axis| level.normals[axis][pixel]));
                 let point = Vector3::from(level.point(pixel));
                 // Facing the camera, or none.
-                (normal.z < 0.0).then(|| {
+                (level.normals[2][pixel] < 0.0).then(|| {
                     let weight = f64::from(noise.sigma_m(point.z)).powi(-2);
-                    (rotation * point.cast(), rotation * normal.cast(), weight)
+                    (rotation * point.cast(), weight)
                 })
             })
         };
-        let weight: f64 = points().map(|(_, _, weight)| weight).sum();
-        if weight == 0.0 {
-            return None;
-        }
-        let middle: Vector3<f64> = points().map(|(p, _, w)| p * w).sum::<Vector3<f64>>() / weight;
-        let square: f64 = points()
-            .map(|(p, _, w)| (p - middle).norm_squared() * w)
-            .sum();
-        let spread_m = (square / weight).sqrt().max(1e-3);
-        let mut hessian = Matrix6::zeros();
-        for (point, normal, weight) in points() {
-            let turn = (point - middle).cross(&normal) / spread_m;
-            let row = Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
-            hessian += row * row.transpose() * weight;
-        }
-        let eigen = (hessian / weight).symmetric_eigen();
-        let mut free = Matrix6::zeros();
-        let mut n_free = 0;
-        for (value, vector) in eigen
+        let weight: f64 = points().map(|(_, weight)| weight).sum();
+        let middle: Vector3<f64> = points().map(|(p, w)| p * w).sum::<Vector3<f64>>() / weight;
+        let square: f64 = points().map(|(p, w)| (p - middle).norm_squared() * w).sum();
+        let scaling = Scaling::new(&middle, (square / weight).sqrt().max(1e-3));
+        let common = scaling.hessian(&half_sum) - scaling.hessian(&half_difference);
+        let now = common / half_sum.weight();
+        let (shares, n_frames) = match before {
+            Some(before) => {
+                let n_frames = (before.n_frames + 1.0).min(N_FRAMES);
+                (before.shares + (now - before.shares) / n_frames, n_frames)
+            }
+            None => (now, 1.0),
+        };
+        let eigen = shares.symmetric_eigen();
+        let is_known = n_frames >= MIN_FRAMES;
+        let pairs = eigen
             .eigenvalues
             .iter()
-            .zip(eigen.eigenvectors.column_iter())
-        {
-            if *value < MAX_DEGENERATE_SHARE {
-                free += vector * vector.transpose();
-                n_free += 1;
-            }
-        }
+            .zip(eigen.eigenvectors.column_iter());
+        let free = pairs.filter(|(share, _)| is_known && **share < MAX_DEGENERATE_SHARE);
+        let free: Vec<Matrix6<f64>> = free
+            .map(|(_, vector)| vector * vector.transpose())
+            .collect();
         Some(Degeneracy {
-            scaling: Scaling::new(&middle, spread_m),
-            free,
-            least_share: eigen.eigenvalues.min().max(0.0),
-            n_free,
+            scaling,
+            shares,
+            n_frames,
+            free: free.iter().sum(),
+            is_free: !free.is_empty(),
+            least_share: match is_known {
+                true => eigen.eigenvalues.min().max(0.0),
+                false => 1.0,
+            },
         })
     }
 
@@ -125,20 +170,75 @@ impl Degeneracy {
         centre: &Vector3<f64>,
     ) -> Option<Pose> {
         let held = Matrix6::identity() - self.free;
-        let within = |part: &Matrix6<f64>, equations: &NormalEquations| {
-            let hessian = part * self.scaling.hessian(equations) * part;
-            (hessian, part * self.scaling.gradient(equations))
-        };
-        let (held_hessian, held_gradient) = within(&held, geometry);
-        let (free_hessian, free_gradient) = within(&self.free, images);
+        let hessian =
+            held * self.scaling.hessian(geometry) + self.free * self.scaling.hessian(images);
+        let gradient =
+            held * self.scaling.gradient(geometry) + self.free * self.scaling.gradient(images);
         // A direction that the images do not hold either stays where the geometry has left it.
-        let prior = Matrix6::identity() * (1e-3 * geometry.weight());
-        let hessian = held_hessian + free_hessian + prior;
-        let scaled = -hessian.cholesky()?.solve(&(held_gradient + free_gradient));
+        let prior = Matrix6::identity() * START_SIGMA_M.powi(-2);
+        let scaled = -(hessian + prior).lu().solve(&gradient)?;
         let about_centre = increment(&(self.scaling.centre_from_scaled * scaled));
         let shift = centre - about_centre.rotation * centre;
         let mut pose = about_centre;
         pose.translation.vector += shift;
         Some(pose)
+    }
+}
+
+/// The level whose normals tell what the geometry holds: the coarsest that still shows the scene's shape.
+fn shape_level(levels: &[Level; N_REDUCED]) -> &Level {
+    /// A Kinect II has 3392 pixels reduced by 8; with a quarter of that a plaque looks like a wall.
+    const MIN_PIXELS: usize = 2000;
+    let coarse = levels.iter().rev();
+    let mut detailed = coarse.filter(|level| level.depth.len() >= MIN_PIXELS);
+    detailed.next().unwrap_or(&levels[0])
+}
+
+/// Half the sum of a point's normals, or half their difference, as the direction of a residual that is 0.
+struct TwoNormals<'a> {
+    volume: &'a TsdfVolume,
+    rotation: Rotation,
+    centre: [f32; 3],
+    noise: &'a DepthNoise,
+    /// Factor of the model's normal, ±½; the frame's has ½.
+    of_model: f32,
+}
+
+impl Residuals for TwoNormals<'_> {
+    #[inline(always)]
+    fn residuals(&self, points: &Points, rows: &mut Rows) {
+        let (mut places, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let mut wanted = [false; LANES];
+        for i in 0..LANES {
+            let at = |plane: &[[f32; LANES]; 3]| [plane[0][i], plane[1][i], plane[2][i]];
+            let lever = turn(&self.rotation, &at(&points.point), &[0.0; 3]);
+            let normal = turn(&self.rotation, &at(&points.normal), &[0.0; 3]);
+            for axis in 0..3 {
+                rows.lever[axis][i] = lever[axis];
+                places[axis][i] = lever[axis] + self.centre[axis];
+                normals[axis][i] = normal[axis];
+            }
+            wanted[i] = points.normal[2][i] < 0.0;
+        }
+        let samples = self.volume.sample_lanes(&places, &wanted);
+        let [gx, gy, gz] = &samples.gradient;
+        let [nx, ny, nz] = &normals;
+        for i in 0..LANES {
+            let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
+            let along = gx[i] * nx[i] + gy[i] * ny[i] + gz[i] * nz[i];
+            // Beyond the band, and on the other side of something thin, there is no second normal.
+            let counts = (squared >= 0.25) & (along > 0.0);
+            let sigma = self.noise.sigma_m(points.point[2][i]);
+            rows.weight[i] = if counts { 1.0 / (sigma * sigma) } else { 0.0 };
+            let scale = if counts {
+                self.of_model / squared.sqrt()
+            } else {
+                0.0
+            };
+            for axis in 0..3 {
+                rows.normal[axis][i] = 0.5 * normals[axis][i] + scale * samples.gradient[axis][i];
+            }
+        }
+        rows.residual = [0.0; LANES];
     }
 }

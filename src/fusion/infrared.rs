@@ -1,9 +1,9 @@
 //! What the infrared image adds where the geometry lets the camera slide.
 //!
 //! The sensor lights the scene itself, so that brightness moves with the camera: two images cannot be compared as they are.
-//! A key view is kept with the model's surface and normals. By Eq. (1) it gives the albedo of what it shows, and this the
-//! intensity in any other view, with that view's own distance and incidence; the difference to what the view shows is the
-//! residual. It acts in the free directions of [`Degeneracy`] alone: where there are none, no pose changes by a bit.
+//! A key view is kept with the model's surface and normals. By Eq. (1) its intensity gives that in any other view, with that view's
+//! own distance and incidence; the difference to what the view shows is the residual, and its derivative is the slope of the albedo,
+//! which counts where it stands out of its noise. It acts in the free directions of [`Degeneracy`] alone: where there are none, no pose changes by a bit.
 //!
 //! Not handled: motion by more than half a wavelength of the texture between frames, highlights, Kinect I, whose images
 //! with depth show the projector's speckle.
@@ -16,7 +16,7 @@ use super::icp::is_small;
 use super::normal_equations::{NormalEquations, Rows, TileSums, huber_weight};
 use super::pyramid::Level;
 use super::raycast::ModelMap;
-use super::sdf_alignment;
+use super::sdf_alignment::{self, Slopes};
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
 use crate::geometry::{CameraModel, Pose, RayGrid};
@@ -51,8 +51,11 @@ const MAX_SLOPE: f64 = 0.25;
 const NORMAL_REACH: usize = 2;
 /// A point of the key view farther than this in front of or behind a point of the frame is not the same, metres.
 const SAME_DEPTH_M: f64 = 0.02;
-/// Below so many pixels in common the images hold nothing.
-const MIN_PIXELS: usize = 200;
+/// The slope has to be so many sigmas of its own noise: what noise prints on a bare table would hold the camera where it is thought
+/// to be.
+const MIN_SLOPE_SIGMAS: f64 = 4.0;
+/// Below so many pixels in common the images hold nothing: a ball of 16 cm shows 300 at 0.7 m.
+const MIN_PIXELS: usize = 50;
 /// Below this share of the frame's points in the key view another one is kept.
 const MIN_OVERLAP: f64 = 0.7;
 /// Steps at most; three do from where alignment to the geometry ends.
@@ -76,7 +79,8 @@ pub struct Infrared {
 struct KeyView {
     world_from_camera: Pose,
     image: LinearImage,
-    /// Albedo times the light's strength, m²: its slopes are those of the texture, without those of the light.
+    /// Albedo times the light's strength, m², smoothed: its slopes are those of the texture, without those of the light. Its sigma
+    /// is that of its slopes as a share of itself.
     albedo: LinearImage,
     surface: ModelMap,
 }
@@ -121,25 +125,29 @@ impl Infrared {
         degeneracy: &Degeneracy,
         aligned: &AlignedPose,
     ) -> Option<AlignedPose> {
-        if degeneracy.n_free == 0 {
+        if !degeneracy.is_free() {
             return None;
         }
         let (key, linear) = (self.key.as_ref()?, self.linear()?);
         let level = eye.level(MODEL_LEVEL);
-        let (mut pose, mut geometry) = (aligned.pose, aligned.equations.clone());
+        let geometry_at = |pose: &Pose, slopes| {
+            sdf_alignment::equations(eye.arch, level, volume, pose, &eye.noise, slopes)
+        };
+        let mut pose = aligned.pose;
         for _ in 0..MAX_STEPS {
             let images = self.equations(key, &linear, level, &pose);
             if images.n_inliers < MIN_PIXELS {
                 return None;
             }
+            let geometry = geometry_at(&pose, Slopes::Frame);
             let step = degeneracy.solve(&geometry, &images, &pose.translation.vector)?;
             pose = step * pose;
-            geometry = sdf_alignment::equations(eye.arch, level, volume, &pose, &eye.noise);
             if is_small(&step) {
                 break;
             }
         }
         let images = self.equations(key, &linear, level, &pose);
+        let geometry = geometry_at(&pose, Slopes::Model);
         Some(AlignedPose {
             pose,
             conditioning: geometry.and(&images).conditioning(SIZE_M),
@@ -156,7 +164,7 @@ impl Infrared {
         if let Some(image) = self.linear() {
             self.key = Some(KeyView {
                 world_from_camera: *world_from_camera,
-                albedo: self.albedo(&image, model, world_from_camera),
+                albedo: self.albedo(&image, level),
                 image,
                 surface: model.clone(),
             });
@@ -175,24 +183,40 @@ impl Infrared {
         Some(reduced(&linear, &self.camera))
     }
 
-    /// Eq. (1) solved for the albedo, with the smoothed surface of the model; NaN where there is none or it is hardly lit.
-    fn albedo(
-        &self,
-        image: &LinearImage,
-        model: &ModelMap,
-        world_from_camera: &Pose,
-    ) -> LinearImage {
-        let camera_from_world = world_from_camera.inverse();
-        let normals = smoothed(&model.normals);
-        let mut albedo = image.clone();
-        let values = albedo.value.data_mut().iter_mut();
-        for (value, (point, normal)) in values.zip(model.points.data().iter().zip(&normals)) {
-            let point = camera_from_world * Point3::from(point.cast::<f64>());
-            let normal = camera_from_world * normal.cast::<f64>();
-            let irradiance = self.irradiance(&point, &normal);
-            *value = irradiance.map_or(f32::NAN, |irradiance| *value / irradiance as f32);
+    /// Eq. (1) solved for the albedo, with the frame's smoothed normals, and averaged with the pixels around; NaN where one of them
+    /// shows no surface or another one, or is hardly lit.
+    fn albedo(&self, image: &LinearImage, level: &Level) -> LinearImage {
+        /// Means of two squares of 3 pixels a side that lie a pixel apart: 3 pixels each are not in the other.
+        const SLOPE_NOISE: f32 = 0.272;
+        let (width, height) = (image.value.width(), image.value.height());
+        let normals = smoothed(level);
+        let values = image.value.data().iter().zip(&normals);
+        let albedo = values.enumerate().map(|(pixel, (value, normal))| {
+            let point = Vector3::from(level.point(pixel)).cast().into();
+            let irradiance = self.irradiance(&point, &normal.cast());
+            irradiance.map_or(f32::NAN, |irradiance| value / irradiance as f32)
+        });
+        let albedo: Vec<f32> = albedo.collect();
+        let mut mean = Image::filled(width, height, f32::NAN);
+        for v in 1..height - 1 {
+            for u in 1..width - 1 {
+                let z = level.depth[v * width + u];
+                let first = (v - 1..=v + 1).map(|row| row * width + u - 1);
+                let around = first.flat_map(|first| first..first + 3);
+                let around = around.map(|pixel| {
+                    let is_same = f64::from((level.depth[pixel] - z).abs()) < SAME_DEPTH_M;
+                    if is_same { albedo[pixel] } else { f32::NAN }
+                });
+                mean.data_mut()[v * width + u] = around.sum::<f32>() / 9.0;
+            }
         }
-        albedo
+        let noise = image.sigma.data().iter().zip(image.value.data());
+        let noise = noise.map(|(sigma, value)| SLOPE_NOISE * sigma / value);
+        LinearImage {
+            integrated: mean.clone(),
+            value: mean,
+            sigma: Image::from_vec(width, height, noise.collect()),
+        }
     }
 
     /// Light on a point with a normal, camera frame, per m²; `None` at grazing incidence, and where the normal is none.
@@ -263,9 +287,10 @@ impl Infrared {
         let noise = f64::from(linear.sigma.data()[pixel]).hypot(ratio * key_noise);
         let sigma = noise.hypot(MODEL_ERROR * predicted);
         // The albedo that is predicted with is that of another point when the pose moves.
-        let (albedo, slope, _) = key.albedo.sample(seen.place.x, seen.place.y)?;
+        let (albedo, slope, albedo_noise) = key.albedo.sample(seen.place.x, seen.place.y)?;
         let relative_slope = Vector2::from(slope) / albedo;
-        if !(MIN_SLOPE..MAX_SLOPE).contains(&relative_slope.norm()) {
+        let least = MIN_SLOPE.max(MIN_SLOPE_SIGMAS * albedo_noise);
+        if !(least..MAX_SLOPE).contains(&relative_slope.norm()) {
             return None;
         }
         let by_point = seen.by_point.transpose() * relative_slope;
@@ -338,19 +363,22 @@ impl KeyView {
     }
 }
 
-/// Normals averaged with those around them, row by row; zero where there is none.
-fn smoothed(normals: &Image<Vector3<f32>>) -> Vec<Vector3<f32>> {
-    let (width, height) = (normals.width(), normals.height());
+/// Normals of a level averaged with those around them, row by row; zero where there is none.
+fn smoothed(level: &Level) -> Vec<Vector3<f32>> {
+    let (width, height) = (level.rays.width, level.rays.height);
     let around =
         |at: usize, end: usize| at.saturating_sub(NORMAL_REACH)..(at + NORMAL_REACH + 1).min(end);
+    let normal = |pixel: usize| Vector3::from([0, 1, 2].map(|axis| level.normals[axis][pixel]));
     let mut smooth = vec![Vector3::zeros(); width * height];
     for (pixel, mean) in smooth.iter_mut().enumerate() {
         let (u, v) = (pixel % width, pixel / width);
-        if normals.data()[pixel] == Vector3::zeros() {
+        if normal(pixel) == Vector3::zeros() {
             continue;
         }
-        let rows = around(v, height).map(|row| &normals.row(row)[around(u, width)]);
-        let sum: Vector3<f32> = rows.flatten().sum();
+        let rows = around(v, height);
+        let columns = around(u, width);
+        let pixels = rows.flat_map(|row| columns.clone().map(move |column| row * width + column));
+        let sum: Vector3<f32> = pixels.map(normal).sum();
         *mean = sum.try_normalize(0.0).unwrap_or_default();
     }
     smooth
@@ -366,7 +394,7 @@ fn reduced(linear: &LinearImage, camera: &CameraModel) -> LinearImage {
             for row in 0..REDUCTION {
                 let first = (v * REDUCTION + row) * linear.value.width() + u * REDUCTION;
                 let cells = first..first + REDUCTION;
-                let values = linear.value.data()[cells.clone()].iter();
+                let values = linear.integrated.data()[cells.clone()].iter();
                 for (&value, &sigma) in values.zip(&linear.sigma.data()[cells]) {
                     if !value.is_nan() {
                         sum += value;

@@ -112,8 +112,8 @@ impl Fusion {
     ) -> TrackingOutcome {
         self.stretch = frame.stretch;
         let outcome = self.fuse_polished(depth, frame.time_secs, world_from_camera, reach);
-        if let TrackingOutcome::Tracked { fit, .. } = &outcome {
-            self.remember(fit.as_ref());
+        if let TrackingOutcome::Tracked { .. } = &outcome {
+            self.remember();
         }
         outcome
     }

@@ -29,7 +29,14 @@ pub fn align(
     let mut last = None;
     for (level, n) in [&levels[2], &levels[1]].into_iter().zip(iterations) {
         for _ in 0..n {
-            let equations = equations(arch, level, volume, &world_from_camera, noise);
+            let equations = equations(
+                arch,
+                level,
+                volume,
+                &world_from_camera,
+                noise,
+                Slopes::Model,
+            );
             let step = equations.solve(&world_from_camera.translation.vector)?;
             world_from_camera = step * world_from_camera;
             last = Some(equations);
@@ -41,6 +48,15 @@ pub fn align(
     last.map(|equations| (world_from_camera, equations))
 }
 
+/// Whose normals say how a distance changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Slopes {
+    /// The gradients of the model's distances: exact to the voxel, but a young model's are 20° and more off.
+    Model,
+    /// The frame's normals, 2° off on a coarse level: what is held a little is found by them in a few steps.
+    Frame,
+}
+
 /// The residuals of a level at a pose.
 pub fn equations(
     arch: Arch,
@@ -48,6 +64,7 @@ pub fn equations(
     volume: &TsdfVolume,
     world_from_camera: &Pose,
     noise: &DepthNoise,
+    slopes: Slopes,
 ) -> NormalEquations {
     let rotation = world_from_camera.rotation.to_rotation_matrix();
     let target = PointToDistance {
@@ -55,6 +72,7 @@ pub fn equations(
         rotation: rows(rotation.matrix()),
         centre: world_from_camera.translation.vector.cast::<f32>().into(),
         noise,
+        slopes,
     };
     points::equations(arch, level, &target)
 }
@@ -64,6 +82,7 @@ struct PointToDistance<'a> {
     rotation: [[f32; 3]; 3],
     centre: [f32; 3],
     noise: &'a DepthNoise,
+    slopes: Slopes,
 }
 
 impl Residuals for PointToDistance<'_> {
@@ -71,12 +90,16 @@ impl Residuals for PointToDistance<'_> {
     fn residuals(&self, points: &Points, rows: &mut Rows) {
         let reach = 0.9 * self.volume.truncation_m();
         let (mut places, mut wanted) = ([[0.0; LANES]; 3], [false; LANES]);
+        let mut normals = [[0.0; LANES]; 3];
         for i in 0..LANES {
+            let normal = [0, 1, 2].map(|axis| points.normal[axis][i]);
+            let normal = turn(&self.rotation, &normal, &[0.0; 3]);
             let point = [points.point[0][i], points.point[1][i], points.point[2][i]];
             let lever = turn(&self.rotation, &point, &[0.0; 3]);
             for axis in 0..3 {
                 rows.lever[axis][i] = lever[axis];
                 places[axis][i] = lever[axis] + self.centre[axis];
+                normals[axis][i] = normal[axis];
             }
             wanted[i] = points.normal[2][i] < 0.0;
         }
@@ -95,6 +118,9 @@ impl Residuals for PointToDistance<'_> {
             };
         }
         rows.residual = samples.distance;
-        rows.normal = samples.gradient;
+        rows.normal = match self.slopes {
+            Slopes::Model => samples.gradient,
+            Slopes::Frame => normals,
+        };
     }
 }

@@ -25,6 +25,13 @@ pub enum Shape {
         /// Its radius.
         radius: f64,
     },
+    /// A cylinder about the z axis and its origin.
+    Cylinder {
+        /// Its radius.
+        radius: f64,
+        /// Half its height.
+        half_height: f64,
+    },
     /// A sphere whose radius carries ripples: the product of three sines of the direction.
     BumpySphere {
         /// Its mean radius.
@@ -58,6 +65,10 @@ impl Shape {
                 if beyond > 0.0 { p.z.hypot(beyond) } else { p.z }
             }
             Shape::Sphere { radius } => p.norm() - radius,
+            Shape::Cylinder {
+                radius,
+                half_height,
+            } => (p.x.hypot(p.y) - radius).max(p.z.abs() - half_height),
             Shape::BumpySphere {
                 radius,
                 amplitude,
@@ -88,6 +99,10 @@ impl Shape {
         let half = match *self {
             Shape::Table { half_size: [x, y] } => Vector3::new(x, y, 0.0),
             Shape::Sphere { radius } => Vector3::repeat(radius),
+            Shape::Cylinder {
+                radius,
+                half_height,
+            } => Vector3::new(radius, radius, half_height),
             Shape::BumpySphere {
                 radius, amplitude, ..
             } => Vector3::repeat(radius + amplitude),
@@ -320,6 +335,34 @@ impl Scene {
             vec![Solid::new(wall, Isometry3::identity(), 0.5).with_texture(texture)],
             0,
         )
+    }
+
+    /// A printed ball alone on a bare table: depth tells nothing of a turn about its upright axis.
+    pub fn printed_ball() -> Self {
+        Scene::round(Shape::Sphere { radius: 0.08 }, 0.08)
+    }
+
+    /// A printed cylinder alone on a bare table.
+    pub fn printed_cylinder() -> Self {
+        let shape = Shape::Cylinder {
+            radius: 0.06,
+            half_height: 0.12,
+        };
+        Scene::round(shape, 0.12)
+    }
+
+    /// A printed solid of revolution, its middle so high above a bare table.
+    fn round(shape: Shape, height: f64) -> Self {
+        let texture = Texture {
+            contrast: 0.6,
+            wavelength: 0.06,
+        };
+        let object = Solid::new(shape, Isometry3::translation(0.0, 0.0, height), 0.5);
+        let table = Shape::Table {
+            half_size: [1.5, 1.5],
+        };
+        let table = Solid::new(table, Isometry3::identity(), 0.3);
+        Scene::new(vec![object.with_texture(texture), table], 0)
     }
 
     /// An object on a table between boxes: they tell a tracker where it is when the object alone would not.
