@@ -11,11 +11,11 @@
 //! The frame's normals are those of a coarse level.
 
 use super::eye::Eye;
-use super::icp::{Rotation, rows, turn};
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows};
 use super::points::{self, Points, Residuals};
 use super::pyramid::{Level, N_REDUCED};
+use super::sdf_alignment::{Answer, Ask};
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
 use crate::geometry::{Pose, increment};
@@ -104,9 +104,7 @@ impl Degeneracy {
         let (arch, noise, level) = (eye.arch, &eye.noise, shape_level(&eye.frame.reduced));
         let rotation = world_from_camera.rotation.to_rotation_matrix();
         let normals = |of_model| TwoNormals {
-            volume,
-            rotation: rows(rotation.matrix()),
-            centre: world_from_camera.translation.vector.cast::<f32>().into(),
+            ask: Ask::new(volume, world_from_camera),
             noise,
             of_model,
         };
@@ -196,9 +194,7 @@ fn shape_level(levels: &[Level; N_REDUCED]) -> &Level {
 
 /// Half the sum of a point's normals, or half their difference, as the direction of a residual that is 0.
 struct TwoNormals<'a> {
-    volume: &'a TsdfVolume,
-    rotation: Rotation,
-    centre: [f32; 3],
+    ask: Ask<'a>,
     noise: &'a DepthNoise,
     /// Factor of the model's normal, ±½; the frame's has ½.
     of_model: f32,
@@ -207,22 +203,10 @@ struct TwoNormals<'a> {
 impl Residuals for TwoNormals<'_> {
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
-        let (mut places, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-        let mut wanted = [false; LANES];
-        for i in 0..LANES {
-            let at = |plane: &[[f32; LANES]; 3]| [plane[0][i], plane[1][i], plane[2][i]];
-            let lever = turn(&self.rotation, &at(&points.point), &[0.0; 3]);
-            let normal = turn(&self.rotation, &at(&points.normal), &[0.0; 3]);
-            for axis in 0..3 {
-                rows.lever[axis][i] = lever[axis];
-                places[axis][i] = lever[axis] + self.centre[axis];
-                normals[axis][i] = normal[axis];
-            }
-            wanted[i] = points.normal[2][i] < 0.0;
-        }
-        let samples = self.volume.sample_lanes(&places, &wanted);
-        let [gx, gy, gz] = &samples.gradient;
+        let Answer { model, normals } = self.ask.about(points, &mut rows.lever);
+        let [gx, gy, gz] = &model.gradient;
         let [nx, ny, nz] = &normals;
+        let mut scale = [0.0; LANES];
         for i in 0..LANES {
             let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
             let along = gx[i] * nx[i] + gy[i] * ny[i] + gz[i] * nz[i];
@@ -230,13 +214,13 @@ impl Residuals for TwoNormals<'_> {
             let counts = (squared >= 0.25) & (along > 0.0);
             let sigma = self.noise.sigma_m(points.point[2][i]);
             rows.weight[i] = if counts { 1.0 / (sigma * sigma) } else { 0.0 };
-            let scale = if counts {
-                self.of_model / squared.sqrt()
-            } else {
-                0.0
-            };
-            for axis in 0..3 {
-                rows.normal[axis][i] = 0.5 * normals[axis][i] + scale * samples.gradient[axis][i];
+            let unit = self.of_model / squared.sqrt();
+            scale[i] = if counts { unit } else { 0.0 };
+        }
+        let planes = rows.normal.iter_mut().zip(&normals).zip(&model.gradient);
+        for ((sum, normal), gradient) in planes {
+            for i in 0..LANES {
+                sum[i] = 0.5 * normal[i] + scale[i] * gradient[i];
             }
         }
         rows.residual = [0.0; LANES];

@@ -3,14 +3,15 @@
 //! The residual of a point is the distance that the volume keeps at its place, the derivative the gradient there, so that
 //! neither a raycast nor a pairing comes between frame and model. It needs a start within the truncation distance.
 
-use super::icp::{is_small, rows, turn};
+use super::icp::{Rotation, is_small, rows, turn};
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, huber_weight};
 use super::points::{self, Points, Residuals};
 use super::pyramid::{Level, N_REDUCED};
+use super::sampling::Samples;
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
-use crate::geometry::lanes::LANES;
+use crate::geometry::lanes::{LANES, Lane};
 use pulp::Arch;
 
 /// Aligns a frame to the volume from a first guess, on the images reduced by 8 and then by 4, with so many iterations at
@@ -66,21 +67,65 @@ pub fn equations(
     noise: &DepthNoise,
     slopes: Slopes,
 ) -> NormalEquations {
-    let rotation = world_from_camera.rotation.to_rotation_matrix();
     let target = PointToDistance {
-        volume,
-        rotation: rows(rotation.matrix()),
-        centre: world_from_camera.translation.vector.cast::<f32>().into(),
+        ask: Ask::new(volume, world_from_camera),
         noise,
         slopes,
     };
     points::equations(arch, level, &target)
 }
 
-struct PointToDistance<'a> {
+/// A volume that is asked about the points of a frame.
+pub struct Ask<'a> {
     volume: &'a TsdfVolume,
-    rotation: [[f32; 3]; 3],
+    rotation: Rotation,
     centre: [f32; 3],
+}
+
+/// What it says, and the frame.
+pub struct Answer {
+    /// Distances and their gradients at the points.
+    pub model: Samples,
+    /// The frame's normals, world axes.
+    pub normals: [Lane; 3],
+}
+
+impl<'a> Ask<'a> {
+    /// About frames taken from a pose.
+    pub fn new(volume: &'a TsdfVolume, world_from_camera: &Pose) -> Self {
+        let rotation = world_from_camera.rotation.to_rotation_matrix();
+        Ask {
+            volume,
+            rotation: rows(rotation.matrix()),
+            centre: world_from_camera.translation.vector.cast::<f32>().into(),
+        }
+    }
+
+    /// About some points; sets their places from the camera's centre, world axes.
+    #[inline(always)]
+    pub fn about(&self, points: &Points, lever: &mut [Lane; 3]) -> Answer {
+        let (mut places, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let mut wanted = [false; LANES];
+        for i in 0..LANES {
+            let at = |plane: &[Lane; 3]| [plane[0][i], plane[1][i], plane[2][i]];
+            let from_centre = turn(&self.rotation, &at(&points.point), &[0.0; 3]);
+            let normal = turn(&self.rotation, &at(&points.normal), &[0.0; 3]);
+            for axis in 0..3 {
+                lever[axis][i] = from_centre[axis];
+                places[axis][i] = from_centre[axis] + self.centre[axis];
+                normals[axis][i] = normal[axis];
+            }
+            wanted[i] = points.normal[2][i] < 0.0;
+        }
+        Answer {
+            model: self.volume.sample_lanes(&places, &wanted),
+            normals,
+        }
+    }
+}
+
+struct PointToDistance<'a> {
+    ask: Ask<'a>,
     noise: &'a DepthNoise,
     slopes: Slopes,
 }
@@ -88,25 +133,11 @@ struct PointToDistance<'a> {
 impl Residuals for PointToDistance<'_> {
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
-        let reach = 0.9 * self.volume.truncation_m();
-        let (mut places, mut wanted) = ([[0.0; LANES]; 3], [false; LANES]);
-        let mut normals = [[0.0; LANES]; 3];
+        let reach = 0.9 * self.ask.volume.truncation_m();
+        let Answer { model, normals } = self.ask.about(points, &mut rows.lever);
+        let [gx, gy, gz] = &model.gradient;
         for i in 0..LANES {
-            let normal = [0, 1, 2].map(|axis| points.normal[axis][i]);
-            let normal = turn(&self.rotation, &normal, &[0.0; 3]);
-            let point = [points.point[0][i], points.point[1][i], points.point[2][i]];
-            let lever = turn(&self.rotation, &point, &[0.0; 3]);
-            for axis in 0..3 {
-                rows.lever[axis][i] = lever[axis];
-                places[axis][i] = lever[axis] + self.centre[axis];
-                normals[axis][i] = normal[axis];
-            }
-            wanted[i] = points.normal[2][i] < 0.0;
-        }
-        let samples = self.volume.sample_lanes(&places, &wanted);
-        let [gx, gy, gz] = &samples.gradient;
-        for i in 0..LANES {
-            let distance = samples.distance[i];
+            let distance = model.distance[i];
             let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
             // At the band's ends the distance is cut off and its gradient falls; where nothing was seen it is 0.
             let counts = (distance.abs() <= reach) & (squared >= 0.25);
@@ -117,9 +148,9 @@ impl Residuals for PointToDistance<'_> {
                 0.0
             };
         }
-        rows.residual = samples.distance;
+        rows.residual = model.distance;
         rows.normal = match self.slopes {
-            Slopes::Model => samples.gradient,
+            Slopes::Model => model.gradient,
             Slopes::Frame => normals,
         };
     }
