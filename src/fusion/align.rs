@@ -1,6 +1,6 @@
 //! One frame against the model: coarsely to the raycast, finely to the distances, and where these let it slide to the images.
 
-use super::degeneracy::Degeneracy;
+use super::degeneracy::{CommonShape, Degeneracy};
 use super::eye::Eye;
 use super::infrared::Infrared;
 use super::normal_equations::NormalEquations;
@@ -21,13 +21,13 @@ pub struct AlignedPose {
     pub conditioning: f64,
 }
 
-/// What holds the camera where the geometry of the frames before let it slide.
-#[derive(Clone, Copy)]
-pub struct Holding<'a> {
-    /// Where that is.
-    pub degeneracy: &'a Degeneracy,
+/// What is known beside the model.
+#[derive(Clone, Copy, Default)]
+pub struct Beside<'a> {
+    /// What the frames before had in common with it.
+    pub common: Option<&'a CommonShape>,
     /// The images.
-    pub infrared: &'a Infrared,
+    pub infrared: Option<&'a Infrared>,
 }
 
 /// Aligns the frame in hand to the raycast model, then to the signed distances, and where these let it slide to the infrared
@@ -38,7 +38,7 @@ pub fn align(
     volume: &TsdfVolume,
     guess: &Pose,
     params: &FusionParams,
-    holding: Option<Holding>,
+    beside: Beside,
     on_step: &mut OnStep,
 ) -> Option<(Pose, Fit)> {
     let (arch, noise, icp) = (eye.arch, &eye.noise, &params.icp);
@@ -47,12 +47,14 @@ pub fn align(
     let levels = &eye.frame.reduced;
     let (pose, equations) =
         sdf_alignment::align(arch, levels, volume, &pose, noise, icp.sdf_iterations)?;
+    let degeneracy = Degeneracy::of(eye, beside.common, &pose)?;
     let aligned = AlignedPose {
         pose,
         conditioning: equations.conditioning(SIZE_M),
         equations,
     };
-    let held = holding.and_then(|by| by.infrared.hold(eye, volume, by.degeneracy, &aligned));
+    let infrared = beside.infrared;
+    let held = infrared.and_then(|images| images.hold(eye, volume, &degeneracy, &aligned));
     let AlignedPose {
         pose,
         equations,
@@ -64,10 +66,10 @@ pub fn align(
         rmse_m: equations.rmse_m(),
         conditioning,
         see_through_share: icp::see_through_share(level, model, &pose, volume.voxel_size_m()),
-        // Told of the frames up to this one, if it is accepted.
-        held_share: 1.0,
+        held_share: degeneracy.least_share,
         fitness: 0.0,
     };
     fit.fitness = gates::fitness(&fit, &eye.frame, noise, params);
+    on_step(FusionStep::SdfAlignment);
     Some((pose, fit))
 }

@@ -3,33 +3,31 @@
 //! They are the eigenvectors of JᵀWJ whose eigenvalues are small (Zhang et al. 2016). So that angles and lengths compare, the
 //! increment is taken about the middle of the points, and angles are multiplied by how far the points lie from it.
 //!
-//! Noise of the normals holds what no shape does: it adds as much to the turn of a ball on a table as the shape of a bust from
-//! behind. So each point's two normals, that of the frame and that of the model there, make one factor each of its part, as
-//! (a bᵀ + b aᵀ)/2: their noise has nothing in common and has no mean in the product, whose eigenvalues may come out below 0.
-//! What is left of it in one frame, some 0.0003, is a third of that in the mean of the last ones.
-//!
-//! The frame's normals are those of a coarse level.
+//! A frame's normals tell at once, but their noise holds what no shape does: it adds as much to the turn of a ball on a table as
+//! the shape of a bust from behind. So where they find the camera held, what they have in common with the model's is asked as
+//! well ([`CommonShape`]). All normals are those of a coarse level.
 
 use super::eye::Eye;
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows};
 use super::points::{self, Points, Residuals};
 use super::pyramid::{Level, N_REDUCED};
-use super::sdf_alignment::{Answer, Ask};
+use super::sdf_alignment::Ask;
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
 use crate::geometry::{Pose, increment};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-/// Below this mean square share of the residuals' direction a motion is not held by the geometry. A simulated ball and a cylinder on
-/// a table have 0.0002 at most, a wall 0.0001; recorded objects and a desk 0.0033 at least.
-pub const MAX_DEGENERATE_SHARE: f64 = 0.001;
+/// Below this mean square share of the residuals' direction a motion is not held by the geometry. By the frame's normals sensor noise
+/// alone makes 0.0003 of a wall and 0.0008 to 0.0012 of a ball on a table; recorded objects have 0.0011 at least. By what they have in
+/// common with the model's these have 0.0033 at least, a simulated ball and a cylinder on a table 0.0003 at most.
+pub const MAX_DEGENERATE_SHARE: f64 = 0.0008;
 
 /// Below this share a view is kept to hold the frames to come: geometry is lost over several frames.
 pub const HARDLY_HELD_SHARE: f64 = 3.0 * MAX_DEGENERATE_SHARE;
 
-/// How far a hand lets the camera be from where its motion leads within a frame, metres, along directions that nothing holds.
-const START_SIGMA_M: f64 = 0.005;
+/// Steps are damped as if they were known to be no longer than this, metres: where the images hold nothing, either, nothing moves.
+const DAMPING_M: f64 = 0.005;
 
 /// A change of variables: increments about the middle of the points, angles times their spread (m).
 #[derive(Clone, Copy, Debug)]
@@ -62,36 +60,66 @@ impl Scaling {
     }
 }
 
-/// Frames in the mean: the camera sees the same by then, from a little farther on.
-const N_FRAMES: f64 = 10.0;
-/// With fewer frames nothing is said to be free: a model of two frames is mostly noise.
-const MIN_FRAMES: f64 = 3.0;
-
-/// How the geometry of the last frames held the camera.
+/// Weighted points of a frame, world axes: where their middle is and how far they lie from it.
 #[derive(Clone, Copy, Debug)]
-pub struct Degeneracy {
-    /// Of the last frame.
-    scaling: Scaling,
-    /// JᵀWJ by scaled increments as a share of the weight, mean of so many frames.
-    shares: Matrix6<f64>,
-    n_frames: f64,
-    /// Projects scaled increments onto the directions that are not held.
-    free: Matrix6<f64>,
-    is_free: bool,
-    /// The least eigenvalue of the shares, 0 to 1.
-    least_share: f64,
+struct Extent {
+    /// World frame, metres.
+    middle: Vector3<f64>,
+    spread_m: f64,
 }
 
-impl Degeneracy {
-    /// Whether there are directions that are not held.
-    pub fn is_free(&self) -> bool {
-        self.is_free
+impl Extent {
+    /// Of points of the world with their weights; `None` of nothing.
+    fn of(points: impl Iterator<Item = (Vector3<f64>, f64)> + Clone) -> Option<Self> {
+        let weight: f64 = points.clone().map(|(_, weight)| weight).sum();
+        if weight == 0.0 {
+            return None;
+        }
+        let middle: Vector3<f64> =
+            points.clone().map(|(p, w)| p * w).sum::<Vector3<f64>>() / weight;
+        let square: f64 = points.map(|(p, w)| (p - middle).norm_squared() * w).sum();
+        Some(Extent {
+            middle,
+            spread_m: (square / weight).sqrt().max(1e-3),
+        })
     }
 
-    /// The least share with which a motion is held, 0 to 1.
-    pub fn least_share(&self) -> f64 {
-        self.least_share
+    /// The scaling about it for increments about a camera's centre.
+    fn scaling(&self, centre: &Vector3<f64>) -> Scaling {
+        Scaling::new(&(self.middle - centre), self.spread_m)
     }
+
+    /// Scaled increments about this from the same ones about another.
+    fn from(&self, other: &Extent) -> Matrix6<f64> {
+        let mut this_from_other = Matrix6::identity();
+        let turn = Matrix3::identity() / other.spread_m;
+        this_from_other
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&(turn * self.spread_m));
+        this_from_other
+            .fixed_view_mut::<3, 3>(3, 0)
+            .copy_from(&((other.middle - self.middle).cross_matrix() * turn));
+        this_from_other
+    }
+}
+
+/// What the frames' normals and the model's have in common, over the last frames.
+///
+/// Each point's two normals make one factor each of its part of JᵀWJ, as (a bᵀ + b aᵀ)/2: their noise has nothing in common and has
+/// no mean in the product, whose eigenvalues may come out below 0. What is left of it in one frame, some 0.0003, is less in a mean.
+#[derive(Clone, Copy, Debug)]
+pub struct CommonShape {
+    extent: Extent,
+    /// JᵀWJ by scaled increments as a share of the weight, mean of so many frames, and then one that forgets.
+    shares: Matrix6<f64>,
+    n_frames: f64,
+}
+
+impl CommonShape {
+    /// Frames in the mean: the camera sees the same by then, from a little farther on.
+    const N_FRAMES: f64 = 10.0;
+    /// With fewer frames nothing is said: a model of two frames is mostly noise.
+    const MIN_FRAMES: f64 = 3.0;
 
     /// With the frame in hand, seen from its pose, and the model, which does not have that frame yet; `None` as long as nothing is
     /// seen of the model.
@@ -102,7 +130,7 @@ impl Degeneracy {
         world_from_camera: &Pose,
     ) -> Option<Self> {
         let (arch, noise, level) = (eye.arch, &eye.noise, shape_level(&eye.frame.reduced));
-        let rotation = world_from_camera.rotation.to_rotation_matrix();
+        let extent = Extent::of(points(level, noise, world_from_camera).map(|(p, _, w)| (p, w)))?;
         let normals = |of_model| TwoNormals {
             ask: Ask::new(volume, world_from_camera),
             noise,
@@ -113,50 +141,87 @@ impl Degeneracy {
             return before.copied();
         }
         let half_difference = points::equations(arch, level, &normals(-0.5));
-        let points = || {
-            (0..level.depth.len()).filter_map(|pixel| {
-                let point = Vector3::from(level.point(pixel));
-                // Facing the camera, or none.
-                (level.normals[2][pixel] < 0.0).then(|| {
-                    let weight = f64::from(noise.sigma_m(point.z)).powi(-2);
-                    (rotation * point.cast(), weight)
-                })
-            })
-        };
-        let weight: f64 = points().map(|(_, weight)| weight).sum();
-        let middle: Vector3<f64> = points().map(|(p, w)| p * w).sum::<Vector3<f64>>() / weight;
-        let square: f64 = points().map(|(p, w)| (p - middle).norm_squared() * w).sum();
-        let scaling = Scaling::new(&middle, (square / weight).sqrt().max(1e-3));
+        let scaling = extent.scaling(&world_from_camera.translation.vector);
         let common = scaling.hessian(&half_sum) - scaling.hessian(&half_difference);
         let now = common / half_sum.weight();
         let (shares, n_frames) = match before {
             Some(before) => {
-                let n_frames = (before.n_frames + 1.0).min(N_FRAMES);
-                (before.shares + (now - before.shares) / n_frames, n_frames)
+                let n_frames = (before.n_frames + 1.0).min(Self::N_FRAMES);
+                let from_now = before.extent.from(&extent);
+                let before = from_now.transpose() * before.shares * from_now;
+                (before + (now - before) / n_frames, n_frames)
             }
             None => (now, 1.0),
         };
+        Some(CommonShape {
+            extent,
+            shares,
+            n_frames,
+        })
+    }
+}
+
+/// How the geometry holds the camera.
+#[derive(Clone, Copy, Debug)]
+pub struct Degeneracy {
+    scaling: Scaling,
+    /// Projects scaled increments onto the directions that are not held.
+    free: Matrix6<f64>,
+    /// How many directions are not held.
+    pub n_free: usize,
+    /// The least eigenvalue of the shares, 0 to 1.
+    pub least_share: f64,
+}
+
+impl Degeneracy {
+    /// Which directions the frame in hand holds, seen from a pose, and those before it; `None` without points.
+    pub fn of(eye: &Eye, common: Option<&CommonShape>, world_from_camera: &Pose) -> Option<Self> {
+        let (noise, level) = (&eye.noise, shape_level(&eye.frame.reduced));
+        let points = points(level, noise, world_from_camera);
+        let extent = Extent::of(points.clone().map(|(point, _, weight)| (point, weight)))?;
+        let (mut shares, mut sum) = (Matrix6::zeros(), 0.0);
+        for (point, normal, weight) in points {
+            let turn = (point - extent.middle).cross(&normal) / extent.spread_m;
+            let row = Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+            shares += row * row.transpose() * weight;
+            sum += weight;
+        }
+        let centre = &world_from_camera.translation.vector;
+        let at_once = Degeneracy::by(&(shares / sum), extent.scaling(centre));
+        let common = common.filter(|common| common.n_frames >= CommonShape::MIN_FRAMES);
+        let Some(CommonShape { shares, extent, .. }) = common else {
+            return Some(at_once);
+        };
+        let in_common = Degeneracy::by(shares, extent.scaling(centre));
+        let least_share = in_common.least_share.min(at_once.least_share);
+        // What is come upon this very frame is told by its own normals.
+        let freer = match at_once.n_free > in_common.n_free {
+            true => at_once,
+            false => in_common,
+        };
+        Some(Degeneracy {
+            least_share,
+            ..freer
+        })
+    }
+
+    fn by(shares: &Matrix6<f64>, scaling: Scaling) -> Self {
         let eigen = shares.symmetric_eigen();
-        let is_known = n_frames >= MIN_FRAMES;
+        let (mut free, mut n_free) = (Matrix6::zeros(), 0);
         let pairs = eigen
             .eigenvalues
             .iter()
             .zip(eigen.eigenvectors.column_iter());
-        let free = pairs.filter(|(share, _)| is_known && **share < MAX_DEGENERATE_SHARE);
-        let free: Vec<Matrix6<f64>> = free
-            .map(|(_, vector)| vector * vector.transpose())
-            .collect();
-        Some(Degeneracy {
+        for (_, vector) in pairs.filter(|(share, _)| **share < MAX_DEGENERATE_SHARE) {
+            free += vector * vector.transpose();
+            n_free += 1;
+        }
+        Degeneracy {
             scaling,
-            shares,
-            n_frames,
-            free: free.iter().sum(),
-            is_free: !free.is_empty(),
-            least_share: match is_known {
-                true => eigen.eigenvalues.min().max(0.0),
-                false => 1.0,
-            },
-        })
+            free,
+            n_free,
+            least_share: eigen.eigenvalues.min().max(0.0),
+        }
     }
 
     /// The left increment that lowers the geometry's residuals in the directions that it holds, and those of the images in
@@ -172,15 +237,34 @@ impl Degeneracy {
             held * self.scaling.hessian(geometry) + self.free * self.scaling.hessian(images);
         let gradient =
             held * self.scaling.gradient(geometry) + self.free * self.scaling.gradient(images);
-        // A direction that the images do not hold either stays where the geometry has left it.
-        let prior = Matrix6::identity() * START_SIGMA_M.powi(-2);
-        let scaled = -(hessian + prior).lu().solve(&gradient)?;
+        let damping = Matrix6::identity() * DAMPING_M.powi(-2);
+        let scaled = -(hessian + damping).lu().solve(&gradient)?;
         let about_centre = increment(&(self.scaling.centre_from_scaled * scaled));
         let shift = centre - about_centre.rotation * centre;
         let mut pose = about_centre;
         pose.translation.vector += shift;
         Some(pose)
     }
+}
+
+/// Points of a level that have a normal, with that and their weight, seen from a pose: world frame.
+fn points<'a>(
+    level: &'a Level,
+    noise: &'a DepthNoise,
+    world_from_camera: &Pose,
+) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>, f64)> + Clone + 'a {
+    let rotation = world_from_camera.rotation.to_rotation_matrix();
+    let centre = world_from_camera.translation.vector;
+    (0..level.depth.len()).filter_map(move |pixel| {
+        let normal = Vector3::from([0, 1, 2].map(|axis| level.normals[axis][pixel]));
+        let point = Vector3::from(level.point(pixel));
+        // Facing the camera, or none.
+        (normal.z < 0.0).then(|| {
+            let weight = f64::from(noise.sigma_m(point.z)).powi(-2);
+            let point = rotation * point.cast() + centre;
+            (point, rotation * normal.cast(), weight)
+        })
+    })
 }
 
 /// The level whose normals tell what the geometry holds: the coarsest that still shows the scene's shape.
@@ -203,15 +287,16 @@ struct TwoNormals<'a> {
 impl Residuals for TwoNormals<'_> {
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
-        let Answer { model, normals } = self.ask.about(points, &mut rows.lever);
+        let model = self.ask.about(points, &mut rows.lever);
+        let normals = self.ask.in_world(&points.normal);
         let [gx, gy, gz] = &model.gradient;
         let [nx, ny, nz] = &normals;
         let mut scale = [0.0; LANES];
         for i in 0..LANES {
             let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
             let along = gx[i] * nx[i] + gy[i] * ny[i] + gz[i] * nz[i];
-            // Beyond the band, and on the other side of something thin, there is no second normal.
-            let counts = (squared >= 0.25) & (along > 0.0);
+            // On the other side of something thin there is no second normal.
+            let counts = self.ask.is_in_band(model.distance[i], squared) & (along > 0.0);
             let sigma = self.noise.sigma_m(points.point[2][i]);
             rows.weight[i] = if counts { 1.0 / (sigma * sigma) } else { 0.0 };
             let unit = self.of_model / squared.sqrt();

@@ -19,7 +19,7 @@ use super::raycast::ModelMap;
 use super::sdf_alignment::{self, Slopes};
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
-use crate::geometry::{CameraModel, Pose, RayGrid};
+use crate::geometry::{CameraModel, Motion, Pose, RayGrid, motion_between};
 use crate::shading::{Calibration, LinearImage, NearLight, linearise};
 use depth_camera::Image;
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3};
@@ -47,7 +47,7 @@ const MAX_RATIO: f64 = 1.5;
 /// unexplained would; where it is steeper, it is the edge of a shadow, which moves with the light.
 const MIN_SLOPE: f64 = 0.03;
 const MAX_SLOPE: f64 = 0.25;
-/// Normals are averaged over so many pixels to either side for the albedo's slope: a young model's are 20° off.
+/// Normals are averaged over so many pixels to either side for the albedo's slope: a frame's are some degrees off.
 const NORMAL_REACH: usize = 2;
 /// A point of the key view farther than this in front of or behind a point of the frame is not the same, metres.
 const SAME_DEPTH_M: f64 = 0.02;
@@ -58,6 +58,11 @@ const MIN_SLOPE_SIGMAS: f64 = 4.0;
 const MIN_PIXELS: usize = 50;
 /// Below this share of the frame's points in the key view another one is kept.
 const MIN_OVERLAP: f64 = 0.7;
+/// Farther from where the geometry ends the images see another place of the print.
+const MAX_HELD: Motion = Motion {
+    rotation_rad: 0.2,
+    translation_m: 0.1,
+};
 /// Steps at most; three do from where alignment to the geometry ends.
 const MAX_STEPS: usize = 8;
 
@@ -125,7 +130,7 @@ impl Infrared {
         degeneracy: &Degeneracy,
         aligned: &AlignedPose,
     ) -> Option<AlignedPose> {
-        if !degeneracy.is_free() {
+        if degeneracy.n_free == 0 {
             return None;
         }
         let (key, linear) = (self.key.as_ref()?, self.linear()?);
@@ -147,6 +152,10 @@ impl Infrared {
             }
         }
         let images = self.equations(key, &linear, level, &pose);
+        let held = motion_between(&aligned.pose, &pose);
+        if images.n_inliers < MIN_PIXELS || !held.is_within(&MAX_HELD) {
+            return None;
+        }
         let geometry = geometry_at(&pose, Slopes::Model);
         Some(AlignedPose {
             pose,

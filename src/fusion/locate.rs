@@ -1,6 +1,6 @@
 //! Where a frame was taken: carried on from the frame before, or from near it, or in the whole model.
 
-use super::align::{Holding, align};
+use super::align::{Beside, align};
 use super::outcome::{Fit, LossReason};
 use super::raycast::ModelMap;
 use super::steps::OnStep;
@@ -135,13 +135,12 @@ impl Fusion {
             lens: &eye.level(MODEL_LEVEL).lens,
             world_from_camera: &track.world_from_camera,
         };
-        let holding = self.degeneracy.as_ref().zip(self.infrared.as_ref());
-        let holding = holding.map(|(degeneracy, infrared)| Holding {
-            degeneracy,
-            infrared,
-        });
+        let beside = Beside {
+            common: self.common.as_ref(),
+            infrared: self.infrared.as_ref(),
+        };
         let (volume, params) = (&self.volume, &self.params);
-        let (pose, fit) = align(eye, &model, volume, guess, params, holding, on_step)
+        let (pose, fit) = align(eye, &model, volume, guess, params, beside, on_step)
             .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
         let motion = motion_between(&track.world_from_camera, &pose);
@@ -181,7 +180,7 @@ impl Fusion {
     /// Looks for a lost frame in the whole model; tells why it is not fused.
     pub(super) fn search(&mut self, time_secs: f64, reason: LossReason) -> LossReason {
         self.track.stop();
-        self.degeneracy = None;
+        self.common = None;
         self.stretch = self.n_fused;
         self.before = Before::Lost;
         let found = self

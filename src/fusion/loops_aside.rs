@@ -87,6 +87,7 @@ impl Fusion {
         self.places.correct(correction);
         self.revisits.correct(correction);
         self.hypothesis = None;
+        self.common = None;
         if let Some(infrared) = &mut self.infrared {
             infrared.forget_key();
         }

@@ -91,7 +91,7 @@ pub use surface_patch::{LatticeEdge, SurfacePatch};
 
 use crate::geometry::{CameraModel, Motion, Pose, RayGrid, TriMesh, motion_between};
 use band::Band;
-use degeneracy::{Degeneracy, HARDLY_HELD_SHARE};
+use degeneracy::{CommonShape, HARDLY_HELD_SHARE};
 use depth_camera::Image;
 use eye::Eye;
 use infrared::Infrared;
@@ -128,8 +128,8 @@ pub struct Fusion {
     volume_number: usize,
     model: Option<ModelMap>,
     track: Track,
-    /// How what was seen held the camera, since it was found last.
-    degeneracy: Option<Degeneracy>,
+    /// What frames and model have in common, since the camera was found last.
+    common: Option<CommonShape>,
     n_fused: usize,
     keyframes: Keyframes,
     /// Number of the stretch of unbroken tracking.
@@ -160,7 +160,7 @@ impl Fusion {
             volume_number: 0,
             model: None,
             track: Track::at(Pose::identity(), 0.0),
-            degeneracy: None,
+            common: None,
             n_fused: 0,
             keyframes: Keyframes::new(params.loop_closing.max_memory_mb << 20),
             stretch: 0,
@@ -221,11 +221,10 @@ impl Fusion {
         on_step(FusionStep::Preprocess);
         match self.find(time_secs, on_step) {
             Ok((world_from_camera, fit)) => {
-                let held_share = self.judge_hold(&world_from_camera);
-                let fit = fit.map(|fit| Fit { held_share, ..fit });
-                on_step(FusionStep::SdfAlignment);
+                let (common, eye) = (self.common.as_ref(), &self.eye);
+                self.common = CommonShape::after(common, eye, &self.volume, &world_from_camera);
                 self.accept(world_from_camera, time_secs, on_step);
-                self.remember();
+                self.remember(fit.as_ref());
                 on_step(FusionStep::Remember);
                 TrackingOutcome::Tracked {
                     world_from_camera,
@@ -298,7 +297,7 @@ impl Fusion {
     /// Says that frames are missing between the last one and the next, which may show another place.
     pub fn interrupt(&mut self) {
         self.track.stop();
-        self.degeneracy = None;
+        self.common = None;
         self.hypothesis = None;
         self.before = Before::Missing;
     }
@@ -329,14 +328,6 @@ impl Fusion {
         marching_cubes::marching_cubes(self.eye.arch, &self.volume, min_weight)
     }
 
-    /// How firmly the geometry held the camera up to the frame in hand, which is not fused yet: see [`Fit::held_share`].
-    fn judge_hold(&mut self, world_from_camera: &Pose) -> f64 {
-        let before = self.degeneracy.as_ref();
-        self.degeneracy = Degeneracy::after(before, &self.eye, &self.volume, world_from_camera);
-        self.degeneracy
-            .map_or(1.0, |degeneracy| degeneracy.least_share())
-    }
-
     /// Fuses the frame in hand at a pose, and looks at the model from there.
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         let (eye, volume) = (&mut self.eye, &mut self.volume);
@@ -355,15 +346,14 @@ impl Fusion {
     }
 
     /// Keeps the frame that was just fused for closing loops and for finding back.
-    fn remember(&mut self) {
+    fn remember(&mut self, fit: Option<&Fit>) {
         self.hypothesis = None;
         self.before = Before::Tracked;
         self.places.visit(&self.eye, &self.track);
         self.revisits.visit(&self.track);
         self.keep();
         let world_from_camera = self.track.world_from_camera;
-        let is_hardly_held = |degeneracy: &Degeneracy| degeneracy.least_share() < HARDLY_HELD_SHARE;
-        let is_hardly_held = self.degeneracy.as_ref().is_none_or(is_hardly_held);
+        let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
         if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
             && is_hardly_held
         {

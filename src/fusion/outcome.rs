@@ -16,8 +16,8 @@ pub struct Fit {
     /// Share of the frame's points that lie behind a surface of the model: the camera would look through it.
     pub see_through_share: f64,
     /// How firmly the geometry holds the motion that it holds least, angles scaled by the size of what is seen: mean square
-    /// share of that motion that the distances show, over the last ten frames; 0 where the camera can slide, 1 as long as fewer
-    /// than three frames tell.
+    /// share of that motion that the distances show, by the frame's own normals or by what the last ten had in common with the
+    /// model; 0 where the camera can slide.
     pub held_share: f64,
     /// How far the frame is from being lost, 0 to 1: 0 at the nearest gate, 1 halfway between every gate and a perfect fit.
     pub fitness: f64,

@@ -6,7 +6,8 @@
 
 use super::{
     Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome,
-    align::align, gates, icp,
+    align::{Beside, align},
+    gates, icp,
 };
 use crate::geometry::{Motion, Pose, motion_between};
 use depth_camera::Image;
@@ -112,8 +113,8 @@ impl Fusion {
     ) -> TrackingOutcome {
         self.stretch = frame.stretch;
         let outcome = self.fuse_polished(depth, frame.time_secs, world_from_camera, reach);
-        if let TrackingOutcome::Tracked { .. } = &outcome {
-            self.remember();
+        if let TrackingOutcome::Tracked { fit, .. } = &outcome {
+            self.remember(fit.as_ref());
         }
         outcome
     }
@@ -168,8 +169,16 @@ impl Fusion {
             lens: &eye.level(MODEL_LEVEL).lens,
             world_from_camera: given,
         };
-        let (pose, fit) =
-            align(eye, &model, volume, given, params, None, on_step).ok_or(nothing)?;
+        let (pose, fit) = align(
+            eye,
+            &model,
+            volume,
+            given,
+            params,
+            Beside::default(),
+            on_step,
+        )
+        .ok_or(nothing)?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params)?;
         let motion = motion_between(given, &pose);
         let bound = reach.unwrap_or_else(|| params.polish.reach());

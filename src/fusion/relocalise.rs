@@ -17,7 +17,11 @@ use super::pyramid::{FramePyramid, N_REDUCED};
 use super::raycast::{ModelMap, raycast_anywhere};
 use super::track::Track;
 use super::volume::TsdfVolume;
-use super::{Fit, FusionParams, MODEL_LEVEL, align::align, gates};
+use super::{
+    Fit, FusionParams, MODEL_LEVEL,
+    align::{Beside, align},
+    gates,
+};
 use crate::geometry::{Motion, Pose, motion_between};
 use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
@@ -191,7 +195,15 @@ fn align_to(
         lens: &eye.level(level).lens,
         world_from_camera: pose,
     };
-    align(eye, &model, volume, pose, params, None, &mut |_| {})
+    align(
+        eye,
+        &model,
+        volume,
+        pose,
+        params,
+        Beside::default(),
+        &mut |_| {},
+    )
 }
 
 /// Aligns the frame in hand to the model as seen from near where it was taken.

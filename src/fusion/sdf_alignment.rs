@@ -82,14 +82,6 @@ pub struct Ask<'a> {
     centre: [f32; 3],
 }
 
-/// What it says, and the frame.
-pub struct Answer {
-    /// Distances and their gradients at the points.
-    pub model: Samples,
-    /// The frame's normals, world axes.
-    pub normals: [Lane; 3],
-}
-
 impl<'a> Ask<'a> {
     /// About frames taken from a pose.
     pub fn new(volume: &'a TsdfVolume, world_from_camera: &Pose) -> Self {
@@ -101,26 +93,40 @@ impl<'a> Ask<'a> {
         }
     }
 
-    /// About some points; sets their places from the camera's centre, world axes.
+    /// Distances and their gradients at some points; sets their places from the camera's centre, world axes.
     #[inline(always)]
-    pub fn about(&self, points: &Points, lever: &mut [Lane; 3]) -> Answer {
-        let (mut places, mut normals) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    pub fn about(&self, points: &Points, lever: &mut [Lane; 3]) -> Samples {
+        *lever = self.in_world(&points.point);
+        let mut places = *lever;
+        for (place, centre) in places.iter_mut().zip(self.centre) {
+            place.iter_mut().for_each(|place| *place += centre);
+        }
         let mut wanted = [false; LANES];
+        for (wanted, z) in wanted.iter_mut().zip(&points.normal[2]) {
+            *wanted = *z < 0.0;
+        }
+        self.volume.sample_lanes(&places, &wanted)
+    }
+
+    /// Vectors of the camera's axes by those of the world.
+    #[inline(always)]
+    pub fn in_world(&self, vectors: &[Lane; 3]) -> [Lane; 3] {
+        let mut turned = [[0.0; LANES]; 3];
         for i in 0..LANES {
-            let at = |plane: &[Lane; 3]| [plane[0][i], plane[1][i], plane[2][i]];
-            let from_centre = turn(&self.rotation, &at(&points.point), &[0.0; 3]);
-            let normal = turn(&self.rotation, &at(&points.normal), &[0.0; 3]);
+            let vector = [vectors[0][i], vectors[1][i], vectors[2][i]];
+            let vector = turn(&self.rotation, &vector, &[0.0; 3]);
             for axis in 0..3 {
-                lever[axis][i] = from_centre[axis];
-                places[axis][i] = from_centre[axis] + self.centre[axis];
-                normals[axis][i] = normal[axis];
+                turned[axis][i] = vector[axis];
             }
-            wanted[i] = points.normal[2][i] < 0.0;
         }
-        Answer {
-            model: self.volume.sample_lanes(&places, &wanted),
-            normals,
-        }
+        turned
+    }
+
+    /// Whether a distance is measured, by it and the square of its gradient: at the band's ends it is cut off and its gradient
+    /// falls; where nothing was seen it is 0.
+    #[inline(always)]
+    pub fn is_in_band(&self, distance: f32, squared_gradient: f32) -> bool {
+        (distance.abs() <= 0.9 * self.volume.truncation_m()) & (squared_gradient >= 0.25)
     }
 }
 
@@ -133,16 +139,13 @@ struct PointToDistance<'a> {
 impl Residuals for PointToDistance<'_> {
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
-        let reach = 0.9 * self.ask.volume.truncation_m();
-        let Answer { model, normals } = self.ask.about(points, &mut rows.lever);
+        let model = self.ask.about(points, &mut rows.lever);
         let [gx, gy, gz] = &model.gradient;
         for i in 0..LANES {
             let distance = model.distance[i];
             let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
-            // At the band's ends the distance is cut off and its gradient falls; where nothing was seen it is 0.
-            let counts = (distance.abs() <= reach) & (squared >= 0.25);
             let sigma = self.noise.sigma_m(points.point[2][i]);
-            rows.weight[i] = if counts {
+            rows.weight[i] = if self.ask.is_in_band(distance, squared) {
                 huber_weight(distance, sigma)
             } else {
                 0.0
@@ -151,7 +154,7 @@ impl Residuals for PointToDistance<'_> {
         rows.residual = model.distance;
         rows.normal = match self.slopes {
             Slopes::Model => model.gradient,
-            Slopes::Frame => normals,
+            Slopes::Frame => self.ask.in_world(&points.normal),
         };
     }
 }

@@ -12,7 +12,8 @@ pub enum FusionStep {
     Icp,
     /// Alignment to the signed distances.
     SdfAlignment,
-    /// Finding the blocks in the truncation band and allocating new ones.
+    /// Comparing the frame's shape with the model's ([`Fit::held_share`](super::Fit::held_share)), finding the blocks in the truncation
+    /// band and allocating new ones.
     Allocate,
     /// Updating the voxels of these blocks.
     Integrate,

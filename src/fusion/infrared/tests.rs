@@ -107,21 +107,22 @@ fn a_printed_wall_is_tracked_by_its_print() {
 
 #[test]
 fn where_the_geometry_holds_the_camera_no_bit_changes() {
-    let plaque = || SimulatedCamera::kinect2_plaque(8, 3);
+    let plaque = || SimulatedCamera::kinect2_plaque(16, 3);
     let (bare, held) = (walk(plaque(), false), walk(plaque(), true));
-    assert_eq!(bare.fits.len(), 7);
+    assert_eq!(bare.fits.len(), 15);
+    assert!(!bare.fits.iter().any(Fit::is_sliding));
     assert_eq!(bare.fits, held.fits);
     assert_eq!(bare.drift, held.drift);
 }
 
-/// Goes 34° round a solid of revolution on a table, which depth alone lets turn under the camera, at last by as much as that.
-fn check_round(scene: fn() -> Scene, middle_m: f64) {
+/// Goes 34° round a solid of revolution on a table, which depth alone lets turn under the camera, by `least_rad` on the way, while
+/// by its print no frame turns by more than `most_rad`: half as much again as was measured.
+fn check_round(scene: fn() -> Scene, middle_m: f64, least_rad: f64, most_rad: f64) {
     let camera = || camera(scene(), Point3::new(0.0, 0.0, middle_m), 48);
     let (bare, held) = (walk(camera(), false), walk(camera(), true));
     assert_eq!((held.n_lost, held.fits.len()), (0, 47));
-    assert!(bare.worst_rad > 0.15, "{}", bare.worst_rad);
-    assert!(held.worst_rad < 0.13, "{}", held.worst_rad);
-    assert!(held.worst_rad < 0.5 * bare.worst_rad);
+    assert!(bare.worst_rad > least_rad, "{}", bare.worst_rad);
+    assert!(held.worst_rad < most_rad, "{}", held.worst_rad);
     // Both say so, but for the first frames.
     for walk in [bare, held] {
         let is_sliding = walk.fits.iter().map(Fit::is_sliding);
@@ -131,10 +132,10 @@ fn check_round(scene: fn() -> Scene, middle_m: f64) {
 
 #[test]
 fn a_printed_ball_on_a_table_is_tracked_by_its_print() {
-    check_round(Scene::printed_ball, 0.05);
+    check_round(Scene::printed_ball, 0.05, 0.5, 0.08);
 }
 
 #[test]
 fn a_printed_cylinder_on_a_table_is_tracked_by_its_print() {
-    check_round(Scene::printed_cylinder, 0.1);
+    check_round(Scene::printed_cylinder, 0.1, 0.2, 0.14);
 }

@@ -38,7 +38,7 @@ fn fused(params: FusionParams) -> Fusion {
         for (side, pose) in [Pose::identity(), from_behind].iter().enumerate() {
             let time_secs = f64::from(2 * round) + side as f64;
             fusion.fuse_at(&depth, time_secs, pose);
-            fusion.remember();
+            fusion.remember(None);
         }
     }
     fusion
