@@ -15,12 +15,12 @@ use super::pyramid::{Level, N_REDUCED};
 use super::sdf_alignment::Ask;
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
-use crate::geometry::{Pose, increment};
+use crate::geometry::{Pose, increment_about};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Below this mean square share of the residuals' direction a motion is not held by the geometry. By the frame's normals sensor noise
 /// alone makes 0.0003 of a wall and 0.0008 to 0.0012 of a ball on a table; recorded objects have 0.0011 at least. By what they have in
-/// common with the model's these have 0.0033 at least, a simulated ball and a cylinder on a table 0.0003 at most.
+/// common with the model's these have 0.0033 at least, a simulated ball and a cylinder on a table 0.0004 at most.
 pub const MAX_DEGENERATE_SHARE: f64 = 0.0008;
 
 /// Below this share a view is kept to hold the frames to come: geometry is lost over several frames.
@@ -69,18 +69,18 @@ struct Extent {
 }
 
 impl Extent {
-    /// Of points of the world with their weights; `None` of nothing.
-    fn of(points: impl Iterator<Item = (Vector3<f64>, f64)> + Clone) -> Option<Self> {
-        let weight: f64 = points.clone().map(|(_, weight)| weight).sum();
-        if weight == 0.0 {
-            return None;
+    /// Of points of the world, with their normals and weights; `None` of nothing.
+    fn of(points: impl Iterator<Item = Weighted>) -> Option<Self> {
+        let (mut sum, mut square, mut weight) = (Vector3::zeros(), 0.0, 0.0);
+        for (point, _, w) in points {
+            sum += point * w;
+            square += point.norm_squared() * w;
+            weight += w;
         }
-        let middle: Vector3<f64> =
-            points.clone().map(|(p, w)| p * w).sum::<Vector3<f64>>() / weight;
-        let square: f64 = points.map(|(p, w)| (p - middle).norm_squared() * w).sum();
-        Some(Extent {
+        let middle = sum / weight;
+        (weight > 0.0).then(|| Extent {
             middle,
-            spread_m: (square / weight).sqrt().max(1e-3),
+            spread_m: (square / weight - middle.norm_squared()).max(1e-6).sqrt(),
         })
     }
 
@@ -130,7 +130,7 @@ impl CommonShape {
         world_from_camera: &Pose,
     ) -> Option<Self> {
         let (arch, noise, level) = (eye.arch, &eye.noise, shape_level(&eye.frame.reduced));
-        let extent = Extent::of(points(level, noise, world_from_camera).map(|(p, _, w)| (p, w)))?;
+        let extent = Extent::of(points(level, noise, world_from_camera))?;
         let normals = |of_model| TwoNormals {
             ask: Ask::new(volume, world_from_camera),
             noise,
@@ -178,7 +178,7 @@ impl Degeneracy {
     pub fn of(eye: &Eye, common: Option<&CommonShape>, world_from_camera: &Pose) -> Option<Self> {
         let (noise, level) = (&eye.noise, shape_level(&eye.frame.reduced));
         let points = points(level, noise, world_from_camera);
-        let extent = Extent::of(points.clone().map(|(point, _, weight)| (point, weight)))?;
+        let extent = Extent::of(points.clone())?;
         let (mut shares, mut sum) = (Matrix6::zeros(), 0.0);
         for (point, normal, weight) in points {
             let turn = (point - extent.middle).cross(&normal) / extent.spread_m;
@@ -239,20 +239,22 @@ impl Degeneracy {
             held * self.scaling.gradient(geometry) + self.free * self.scaling.gradient(images);
         let damping = Matrix6::identity() * DAMPING_M.powi(-2);
         let scaled = -(hessian + damping).lu().solve(&gradient)?;
-        let about_centre = increment(&(self.scaling.centre_from_scaled * scaled));
-        let shift = centre - about_centre.rotation * centre;
-        let mut pose = about_centre;
-        pose.translation.vector += shift;
-        Some(pose)
+        Some(increment_about(
+            centre,
+            &(self.scaling.centre_from_scaled * scaled),
+        ))
     }
 }
+
+/// A point, its normal and its weight, world frame.
+type Weighted = (Vector3<f64>, Vector3<f64>, f64);
 
 /// Points of a level that have a normal, with that and their weight, seen from a pose: world frame.
 fn points<'a>(
     level: &'a Level,
     noise: &'a DepthNoise,
     world_from_camera: &Pose,
-) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>, f64)> + Clone + 'a {
+) -> impl Iterator<Item = Weighted> + Clone + 'a {
     let rotation = world_from_camera.rotation.to_rotation_matrix();
     let centre = world_from_camera.translation.vector;
     (0..level.depth.len()).filter_map(move |pixel| {
@@ -291,15 +293,15 @@ impl Residuals for TwoNormals<'_> {
         let normals = self.ask.in_world(&points.normal);
         let [gx, gy, gz] = &model.gradient;
         let [nx, ny, nz] = &normals;
+        let squared = model.squared_gradient();
         let mut scale = [0.0; LANES];
         for i in 0..LANES {
-            let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
             let along = gx[i] * nx[i] + gy[i] * ny[i] + gz[i] * nz[i];
             // On the other side of something thin there is no second normal.
-            let counts = self.ask.is_in_band(model.distance[i], squared) & (along > 0.0);
+            let counts = self.ask.is_in_band(model.distance[i], squared[i]) & (along > 0.0);
             let sigma = self.noise.sigma_m(points.point[2][i]);
             rows.weight[i] = if counts { 1.0 / (sigma * sigma) } else { 0.0 };
-            let unit = self.of_model / squared.sqrt();
+            let unit = self.of_model / squared[i].sqrt();
             scale[i] = if counts { unit } else { 0.0 };
         }
         let planes = rows.normal.iter_mut().zip(&normals).zip(&model.gradient);

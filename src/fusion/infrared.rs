@@ -3,7 +3,8 @@
 //! The sensor lights the scene itself, so that brightness moves with the camera: two images cannot be compared as they are.
 //! A key view is kept with the model's surface and normals. By Eq. (1) its intensity gives that in any other view, with that view's
 //! own distance and incidence; the difference to what the view shows is the residual, and its derivative is the slope of the albedo,
-//! which counts where it stands out of its noise. It acts in the free directions of [`Degeneracy`] alone: where there are none, no pose changes by a bit.
+//! which counts where it stands out of its noise. It acts in the free directions of [`Degeneracy`] alone: where there are none, no
+//! pose changes by a bit.
 //!
 //! Not handled: motion by more than half a wavelength of the texture between frames, highlights, Kinect I, whose images
 //! with depth show the projector's speckle.

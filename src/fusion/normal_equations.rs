@@ -1,7 +1,7 @@
 //! Weighted 6×6 normal equations, summed in single precision over a tile of pixels and in double precision over tiles.
 
 use crate::geometry::lanes::{LANES, Lane};
-use crate::geometry::{Pose, increment};
+use crate::geometry::{Pose, increment_about};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use rayon::prelude::*;
 
@@ -181,11 +181,7 @@ impl NormalEquations {
         let prior = 1e-3 * self.weight / self.n_inliers.max(1) as f64;
         let jtj = self.jtj + Matrix6::identity() * prior;
         let step = -jtj.cholesky()?.solve(&self.jtr);
-        let about_centre = increment(&step);
-        let shift = centre - about_centre.rotation * centre;
-        let mut pose = about_centre;
-        pose.translation.vector += shift;
-        Some(pose)
+        Some(increment_about(centre, &step))
     }
 
     /// Smallest over largest eigenvalue, levers scaled by `scale_m` so that angles and lengths compare.

@@ -13,6 +13,19 @@ pub struct Samples {
     pub gradient: [Lane; 3],
 }
 
+impl Samples {
+    /// Squares of the gradients' lengths.
+    #[inline(always)]
+    pub fn squared_gradient(&self) -> Lane {
+        let [x, y, z] = &self.gradient;
+        let mut squared = [0.0; LANES];
+        for i in 0..LANES {
+            squared[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i];
+        }
+        squared
+    }
+}
+
 impl TsdfVolume {
     /// Signed distance (m) and its gradient (m per m); `None` unless all eight voxels around were seen.
     #[inline]

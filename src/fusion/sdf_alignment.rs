@@ -140,10 +140,8 @@ impl Residuals for PointToDistance<'_> {
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
         let model = self.ask.about(points, &mut rows.lever);
-        let [gx, gy, gz] = &model.gradient;
-        for i in 0..LANES {
+        for (i, squared) in model.squared_gradient().into_iter().enumerate() {
             let distance = model.distance[i];
-            let squared = gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i];
             let sigma = self.noise.sigma_m(points.point[2][i]);
             rows.weight[i] = if self.ask.is_in_band(distance, squared) {
                 huber_weight(distance, sigma)

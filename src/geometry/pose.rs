@@ -14,6 +14,14 @@ pub fn increment(xi: &Vector6<f64>) -> Pose {
     )
 }
 
+/// The same of an increment about a centre: what lies there is moved by the translation alone.
+pub fn increment_about(centre: &Vector3<f64>, xi: &Vector6<f64>) -> Pose {
+    let mut pose = increment(xi);
+    let shift = centre - pose.rotation * centre;
+    pose.translation.vector += shift;
+    pose
+}
+
 /// How far two poses of a camera are apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
