@@ -9,7 +9,7 @@ use super::{
 };
 use crate::geometry::{CameraModel, DepthBuffer, TriMesh, area_vector, rasterise};
 use depth_camera::Image;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Samples a pixel along each axis.
@@ -68,24 +68,39 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// Mean of the samples of a pixel, encoded; all are looked at along the ray of its middle.
+    /// Mean of the samples of a pixel, encoded; all are looked at along the ray of its middle. Where they are of one face, its middle
+    /// stands for them.
     fn pixel(&self, u: usize, v: usize, params: &PhongParams) -> [u8; 3] {
         const N: usize = SAMPLES * SAMPLES;
         const MIDDLE: f64 = (SAMPLES - 1) as f64 / 2.0;
         let (first_u, first_v) = (u * SAMPLES, v * SAMPLES);
-        let samples = (0..N).map(|k| [first_u + k % SAMPLES, first_v + k / SAMPLES]);
-        let covered = samples.filter(|&[u, v]| *self.buffer.face.at(u, v) != u32::MAX);
-        let mut covered = covered.peekable();
-        if covered.peek().is_none() {
+        let places: [_; N] =
+            std::array::from_fn(|k| [first_u + k % SAMPLES, first_v + k / SAMPLES]);
+        let faces = places.map(|[u, v]| *self.buffer.face.at(u, v));
+        if faces == [u32::MAX; N] {
             return params.background;
         }
         let (middle_u, middle_v) = (first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
-        let ray = self.camera.unproject(middle_u, middle_v);
-        let Some(look) = ray.and_then(|ray| Look::along(&ray.push(1.0))) else {
+        let Some(ray) = self.camera.unproject(middle_u, middle_v) else {
             return params.background;
         };
+        let Some(look) = Look::along(&ray.push(1.0)) else {
+            return params.background;
+        };
+        let depths = places.map(|[u, v]| f64::from(*self.buffer.depth_m.at(u, v)));
+        if faces == [faces[0]; N] {
+            let depth_m = depths.iter().sum::<f64>() / N as f64;
+            let brightness = self.brightness(faces[0], &ray, depth_m, &look, params);
+            return brightness.map_or(params.background, |grey| [srgb_from_linear(grey); 3]);
+        }
+        let samples = places.into_iter().zip(faces).zip(depths);
+        let covered = samples.filter(|&((_, face), _)| face != u32::MAX);
+        let brightnesses = covered.filter_map(|(([u, v], face), depth_m)| {
+            let ray = self.camera.unproject(u as f64, v as f64)?;
+            self.brightness(face, &ray, depth_m, &look, params)
+        });
         let (mut grey, mut n_covered) = (0.0, 0);
-        for brightness in covered.filter_map(|sample| self.sample(sample, &look, params)) {
+        for brightness in brightnesses {
             grey += brightness;
             n_covered += 1;
         }
@@ -99,16 +114,22 @@ impl Scene<'_> {
         }
     }
 
-    /// Linear brightness of a covered sample; `None` where the surface has no normal.
-    fn sample(&self, [u, v]: [usize; 2], look: &Look, params: &PhongParams) -> Option<f64> {
-        let face = *self.buffer.face.at(u, v) as usize;
+    /// Linear brightness of a face at a depth (m) along a ray; `None` where the surface has no normal.
+    fn brightness(
+        &self,
+        face: u32,
+        ray: &Vector2<f64>,
+        depth_m: f64,
+        look: &Look,
+        params: &PhongParams,
+    ) -> Option<f64> {
+        let face = face as usize;
         let corners = self.faces[face].map(|vertex| self.vertices[vertex as usize]);
         let face_normal = area_vector(corners);
         let normal = if params.flat {
             face_normal
         } else {
-            let ray = self.camera.unproject(u as f64, v as f64)?.push(1.0);
-            let point = Point3::from(ray * f64::from(*self.buffer.depth_m.at(u, v)));
+            let point = Point3::from(ray.push(1.0) * depth_m);
             let smooth = self.smooth_normal(face, &corners, &point, &face_normal);
             match smooth.norm_squared() > 0.0 {
                 true => smooth,

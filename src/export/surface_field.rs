@@ -4,19 +4,37 @@ use super::PictureView;
 use crate::geometry::{TriMesh, rasterise};
 use depth_camera::Image;
 
-/// Draws one number a vertex: of each pixel the mean over the corners of the face seen there, NaN where there is none.
-///
-/// # Panics
-/// If there are fewer values than vertices.
-pub fn draw_field(mesh: &TriMesh, values: &[f64], view: &PictureView) -> Image<f32> {
-    let faces = rasterise(mesh, &view.camera, &view.world_from_camera.inverse()).face;
-    faces.map(|&face| match mesh.faces.get(face as usize) {
-        Some(corners) => {
-            let sum: f64 = corners.iter().map(|&vertex| values[vertex as usize]).sum();
-            (sum / 3.0) as f32
+/// What one sees of a surface from one side, to draw numbers on.
+pub struct SeenSurface<'a> {
+    mesh: &'a TriMesh,
+    /// The face seen at each pixel.
+    faces: Image<u32>,
+}
+
+impl<'a> SeenSurface<'a> {
+    /// Looks at a surface.
+    pub fn new(mesh: &'a TriMesh, view: &PictureView) -> Self {
+        let seen = rasterise(mesh, &view.camera, &view.world_from_camera.inverse());
+        SeenSurface {
+            mesh,
+            faces: seen.face,
         }
-        None => f32::NAN,
-    })
+    }
+
+    /// Draws one number a vertex: of each pixel the mean over the corners of the face seen there, NaN where there is none.
+    ///
+    /// # Panics
+    /// If there are fewer values than vertices.
+    pub fn draw(&self, values: &[f64]) -> Image<f32> {
+        let faces = &self.mesh.faces;
+        self.faces.map(|&face| match faces.get(face as usize) {
+            Some(corners) => {
+                let sum: f64 = corners.iter().map(|&vertex| values[vertex as usize]).sum();
+                (sum / 3.0) as f32
+            }
+            None => f32::NAN,
+        })
+    }
 }
 
 #[cfg(test)]
@@ -33,7 +51,7 @@ mod tests {
         };
         let [front, ..] = three_views(&mesh, &MeanView::from_poses(&[]), size).unwrap();
         let heights: Vec<f64> = mesh.vertices.iter().map(|vertex| -vertex.y).collect();
-        let field = draw_field(&mesh, &heights, &front);
+        let field = SeenSurface::new(&mesh, &front).draw(&heights);
         assert!(field.at(0, 0).is_nan());
         // The upper half is above the lower one.
         assert!(*field.at(20, 8) > 0.03 && *field.at(20, 22) < -0.03);

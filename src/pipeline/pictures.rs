@@ -3,7 +3,7 @@
 use super::{fusion_stage::FusedScan, refine_stage::RefineSummary};
 use crate::{
     export::{
-        MeanView, PhongParams, PictureSize, PictureView, ReportPictures, SurfaceField, draw_field,
+        MeanView, PhongParams, PictureSize, PictureView, ReportPictures, SeenSurface, SurfaceField,
         phong, three_views,
     },
     geometry::TriMesh,
@@ -34,18 +34,23 @@ pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
             .flat_map(|refinement| draw_all(&refinement.mesh))
             .collect()
     };
-    let (base, refined_pictures) = rayon::join(|| draw_all(shown), draw_refined);
-    let snapshots = scan.snapshots.iter().flat_map(|s| &s.accepted);
-    let every = snapshots.clone().count().div_ceil(MAX_THUMBNAILS).max(1);
+    let draw_fields = || match (&views, &refined.refinement) {
+        (Some([front, ..]), Some(refinement)) => fields(refinement, front),
+        _ => Vec::new(),
+    };
+    let shading = scan.snapshots.as_ref();
+    let shading = shading.map_or(&[][..], |snapshots| &snapshots.accepted);
+    let every = shading.len().div_ceil(MAX_THUMBNAILS).max(1);
+    let draw_thumbnails = || shading.par_iter().step_by(every).map(thumbnail).collect();
+    let surfaces = || rayon::join(|| draw_all(shown), draw_refined);
+    let ((base, refined), (fields, thumbnails)) =
+        rayon::join(surfaces, || rayon::join(draw_fields, draw_thumbnails));
     ReportPictures {
         base,
-        refined: refined_pictures,
-        thumbnails: snapshots.step_by(every).map(thumbnail).collect(),
+        refined,
+        thumbnails,
         depth_thumbnail: scan.last_depth.as_ref().map(depth_as_grey),
-        fields: match (&views, &refined.refinement) {
-            (Some([front, ..]), Some(refinement)) => fields(refinement, front),
-            _ => Vec::new(),
-        },
+        fields,
     }
 }
 
@@ -92,10 +97,11 @@ fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
             1.0,
         ),
     ];
+    let seen = SeenSurface::new(&refinement.mesh, front);
     let draw = |(title, caption, values, high, factor): (_, &str, &[f64], f64, f64)| SurfaceField {
         title,
         caption: caption.to_owned(),
-        values: draw_field(&refinement.mesh, values, front),
+        values: seen.draw(values),
         range: [0.0, high],
         factor,
     };
