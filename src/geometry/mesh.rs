@@ -1,7 +1,12 @@
 //! Indexed triangle meshes.
 
+use super::Lists;
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 use std::ops::{Add, AddAssign, Div};
+
+/// Sums at more vertices than this are worth several threads.
+const PARALLEL: usize = 10_000;
 
 /// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,18 +57,39 @@ impl TriMesh {
         normals
     }
 
-    /// Sums of a value of each face over the faces around each vertex, from `zero`.
-    pub fn sums_at_vertices<T: Copy + AddAssign>(
+    /// Sums of a value of each face over the faces around each vertex, from `zero`, in the order of the faces. Within a pool each
+    /// thread sums for a part of the vertices.
+    pub fn sums_at_vertices<T: Copy + AddAssign + Send + Sync>(
         &self,
         zero: T,
-        of_face: impl Fn(usize) -> T,
+        of_face: impl Fn(usize) -> T + Sync,
     ) -> Vec<T> {
         let mut sums = vec![zero; self.vertices.len()];
-        for (face, corners) in self.faces.iter().enumerate() {
-            let value = of_face(face);
-            for &vertex in corners {
-                sums[vertex as usize] += value;
+        let n_parts = match rayon::current_thread_index() {
+            Some(_) if sums.len() > PARALLEL => rayon::current_num_threads(),
+            _ => 1,
+        };
+        let n_in_part = sums.len().div_ceil(n_parts).max(1);
+        let sum_part = |(part, sums): (usize, &mut [T])| {
+            for (face, corners) in self.faces.iter().enumerate() {
+                let at = corners.map(|vertex| (vertex as usize).wrapping_sub(part * n_in_part));
+                if at.iter().all(|&at| at >= sums.len()) {
+                    continue;
+                }
+                let value = of_face(face);
+                for at in at {
+                    if let Some(sum) = sums.get_mut(at) {
+                        *sum += value;
+                    }
+                }
             }
+        };
+        match n_parts {
+            1 => sum_part((0, &mut sums)),
+            _ => sums
+                .par_chunks_mut(n_in_part)
+                .enumerate()
+                .for_each(sum_part),
         }
         sums
     }
@@ -146,17 +172,18 @@ pub struct EdgeAdjacency {
 impl EdgeAdjacency {
     /// Finds the edges of a mesh.
     pub fn new(mesh: &TriMesh) -> Self {
-        let mut sides: Vec<[u32; 2]> = mesh
-            .faces
-            .iter()
-            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
-            .map(|(p, q)| [p.min(q), p.max(q)])
-            .collect();
-        sides.sort_unstable();
-        let (edges, n_faces) = sides
-            .chunk_by(|side, next| side == next)
-            .map(|equal| (equal[0], equal.len() as u32))
-            .unzip();
+        let sides = mesh.faces.iter();
+        let sides = sides.flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let sides = sides.map(|[p, q]| [p.min(q), p.max(q)]);
+        // The sides from one vertex to larger ones are few.
+        let seconds = Lists::new(mesh.vertices.len(), sides).sorted();
+        let (mut edges, mut n_faces) = (Vec::new(), Vec::new());
+        for first in 0..seconds.len() {
+            for equal in seconds.of(first).chunk_by(|second, next| second == next) {
+                edges.push([first as u32, equal[0]]);
+                n_faces.push(equal.len() as u32);
+            }
+        }
         EdgeAdjacency { edges, n_faces }
     }
 }

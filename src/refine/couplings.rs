@@ -2,9 +2,8 @@
 //! stand for the same patch.
 
 use super::energy::TILE;
-use super::lists::Lists;
 use super::patches::Patch;
-use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::geometry::{EdgeAdjacency, Lists, TriMesh};
 use rayon::prelude::*;
 use std::iter::Sum;
 
@@ -54,12 +53,13 @@ impl Couplings {
     pub fn new(mesh: &TriMesh, edges: &EdgeAdjacency, patches: &[Patch]) -> Couplings {
         let mut pairs = edges.edges.clone();
         pairs.extend(patches.iter().flat_map(pairs_of));
-        pairs.par_sort_unstable();
+        // Those of the edges are in order, which a merge sort finds.
+        pairs.sort();
         pairs.dedup();
-        let find = |pair: &[u32; 2]| {
-            pairs
-                .binary_search(pair)
-                .expect("every term's pair is there") as u32
+        let seconds = Lists::new(mesh.vertices.len(), pairs.iter().copied());
+        let find = |&[first, second]: &[u32; 2]| {
+            let found = seconds.of(first as usize).binary_search(&second);
+            (seconds.start(first as usize) + found.expect("every term's pair is there")) as u32
         };
         let side = |face: &[u32; 3], corner: usize| {
             let (p, q) = (face[corner], face[(corner + 1) % 3]);

@@ -7,7 +7,7 @@
 //!
 //! Where the unknowns halve the pairs of a coarser graph, its cuts are theirs, and only its leaves are cut anew.
 
-use super::lists::Lists;
+use crate::geometry::Lists;
 use nalgebra::Point3;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};

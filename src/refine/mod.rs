@@ -28,7 +28,6 @@ mod guard_tests;
 mod held_out;
 mod label_spread;
 mod level;
-mod lists;
 mod max_flow;
 mod median_albedo;
 mod mixture;

@@ -32,6 +32,20 @@ impl Lists {
         Lists { starts, items }
     }
 
+    /// The same lists, each in ascending order.
+    pub fn sorted(mut self) -> Lists {
+        for list in self.starts.windows(2) {
+            self.items[list[0] as usize..list[1] as usize].sort_unstable();
+        }
+        self
+    }
+
+    /// How many items the lists before one have.
+    #[inline]
+    pub fn start(&self, list: usize) -> usize {
+        self.starts[list] as usize
+    }
+
     /// The items of a list.
     #[inline]
     pub fn of(&self, list: usize) -> &[u32] {
