@@ -73,17 +73,22 @@ pub fn run(
     let mut object_clock = StageClock::new("selection of the object");
     let mut refine_clock = StageClock::new("refinement");
 
-    // The base mesh first: whatever happens later, it is there.
-    let find = || setup.pool.install(|| object_of(setup, &scan));
+    let mut find = || object_clock.time(|| setup.pool.install(|| object_of(setup, &scan)));
     if setup.object.crop.is_for_delivery() {
-        match object_clock.time(find) {
+        match find() {
             Ok(object) => summary.object = Some(object),
             Err(reason) => summary.not_cropped_reason = Some(reason),
         }
     }
+    let images = shading_images(setup, &scan);
+    let will_refine = images.is_ok() && setup.refine.is_some() && !setup.stop.is_stopped();
+    // The base mesh first: whatever happens later, it is there.
     let base = summary.object.as_ref().unwrap_or(&scan.base);
-    summary.base_mesh = Some(export_clock.time(|| deliver_base(setup, base, outbox)));
-    let refined = shading_images(setup, &scan).and_then(|snapshots| {
+    let deliver = || export_clock.time(|| deliver_base(setup, base, outbox));
+    let find_if_wanted = || (will_refine && summary.object.is_none()).then(find);
+    let (base_mesh, found) = setup.pool.join(deliver, find_if_wanted);
+    summary.base_mesh = Some(base_mesh);
+    let refined = images.and_then(|snapshots| {
         let write = || outbox.snapshots(snapshots, &setup.info);
         export_clock.time(|| setup.pool.install(write));
         if setup.refine.is_none() {
@@ -92,11 +97,11 @@ pub fn run(
         if setup.stop.is_stopped() {
             return Err("the run was stopped before refinement began".to_owned());
         }
-        let object = match summary.object.take() {
-            Some(object) => object,
-            None => object_clock.time(find)?,
-        };
-        let object = summary.object.insert(object);
+        if let Some(found) = found {
+            summary.object = Some(found?);
+        }
+        let object = summary.object.as_ref();
+        let object = object.expect("looked for where refinement is wanted");
         setup.status.update(|status| status.phase = Phase::Refining);
         refine_clock.time(|| {
             setup

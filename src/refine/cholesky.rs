@@ -17,6 +17,7 @@ use faer::linalg::triangular_solve::{
 };
 use faer::{Accum, ColMut, ColRef, Mat, MatMut, MatRef, Par};
 use nalgebra::Point3;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Branches of more unknowns than this are worth a thread.
@@ -105,7 +106,7 @@ impl Analysis {
             boundaries.push(boundary);
         }
         let node_of = dissection.node_of_unknowns();
-        for (entry, pair) in (0..).zip(pairs) {
+        let place_in_front = |pair: &[u32; 2]| {
             let [a, b] = pair.map(|unknown| place_of[unknown as usize]);
             let (column, row) = (a.min(b), a.max(b));
             let node = node_of[order[column as usize] as usize] as usize;
@@ -113,8 +114,11 @@ impl Analysis {
                 pivots: &nodes[node].pivots,
                 boundary: &boundaries[node],
             };
-            let entry = [entry, rows.row_of(row), rows.row_of(column)];
-            fronts[node].entries.push(entry);
+            (node, rows.row_of(row), rows.row_of(column))
+        };
+        let places: Vec<_> = pairs.par_iter().map(place_in_front).collect();
+        for (entry, (node, row, column)) in (0..).zip(places) {
+            fronts[node].entries.push([entry, row, column]);
         }
         Analysis { dissection, fronts }
     }
@@ -126,7 +130,7 @@ impl Analysis {
         let n_values = self.fronts[root].n_values;
         let mut values = Vec::new();
         values.try_reserve_exact(n_values).ok()?;
-        values.resize(n_values, 0.0);
+        values.par_extend(rayon::iter::repeat_n(0.0, n_values));
         let matrix = Entries { diagonal, of_pairs };
         self.eliminate(root, &matrix, &mut values)?;
         Some(Factor {
@@ -271,10 +275,13 @@ impl Factor<'_> {
         let n = order.len();
         let width = columns.len() / n.max(1);
         // Row by row, in the order of elimination.
-        let mut rows = Vec::with_capacity(columns.len());
-        for &unknown in order {
-            rows.extend((0..width).map(|column| columns[column * n + unknown as usize] as f32));
-        }
+        let mut rows = vec![0.0; columns.len()];
+        let pairs = rows.par_chunks_mut(width.max(1)).zip(order);
+        pairs.for_each(|(row, &unknown)| {
+            for (column, value) in row.iter_mut().enumerate() {
+                *value = columns[column * n + unknown as usize] as f32;
+            }
+        });
         let root = self.analysis.fronts.len() - 1;
         self.forward(root, &self.values, &mut rows, width);
         self.backward(root, &self.values, &mut rows, &[], width);

@@ -135,18 +135,21 @@ impl Problem<'_> {
     /// Energy of the surface with the groups' albedos.
     pub fn energy(&self, surface: &Surface, albedos: &[f64]) -> f64 {
         let (n_sites, normals) = (self.labels.len(), self.normals(&surface.mesh));
-        let data: Vec<f64> = (0..n_sites.div_ceil(TILE))
-            .into_par_iter()
-            .map(|tile| {
-                let sites = tile * TILE..((tile + 1) * TILE).min(n_sites);
-                let energy = |index| {
-                    let normal = normals.unit(index)?;
-                    Some(self.energy_of(&self.site(surface, albedos, index, normal)))
-                };
-                sites.filter_map(energy).sum()
-            })
-            .collect();
-        data.iter().sum::<f64>() + self.prior_energy(&surface.total_m)
+        let of_tile = |tile: usize| -> f64 {
+            let sites = tile * TILE..((tile + 1) * TILE).min(n_sites);
+            let energy = |index| {
+                let normal = normals.unit(index)?;
+                Some(self.energy_of(&self.site(surface, albedos, index, normal)))
+            };
+            sites.filter_map(energy).sum()
+        };
+        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter();
+        // The priors keep one thread busy.
+        let (prior, data) = rayon::join(
+            || self.prior_energy(&surface.total_m),
+            || tiles.map(of_tile).collect::<Vec<f64>>(),
+        );
+        data.iter().sum::<f64>() + prior
     }
 
     fn normals<'m>(&self, mesh: &'m TriMesh) -> Normals<'m> {
@@ -190,22 +193,33 @@ impl Problem<'_> {
         albedos: &[f64],
         couplings: &Couplings,
     ) -> NormalMatrix {
-        let mut matrix = self.prior_matrix(&surface.total_m, couplings);
-        let nothing = GroupTerms {
-            diagonal: 0.0,
-            coupling: vec![0.0; surface.total_m.len()],
-            gradient: 0.0,
+        let of_priors = || {
+            let nothing = GroupTerms {
+                diagonal: 0.0,
+                coupling: vec![0.0; surface.total_m.len()],
+                gradient: 0.0,
+            };
+            NormalMatrix {
+                groups: vec![nothing; albedos.len()],
+                ..self.prior_matrix(&surface.total_m, couplings)
+            }
         };
-        matrix.groups = vec![nothing; albedos.len()];
         match self.sites {
-            SiteKind::Face => self.add_faces(surface, albedos, couplings, &mut matrix),
+            SiteKind::Face => {
+                let mut matrix = of_priors();
+                self.add_faces(surface, albedos, couplings, &mut matrix);
+                matrix
+            }
             SiteKind::Vertex => {
-                let system = VertexSystem::new(self, surface, albedos, &couplings.corners);
+                let corners = &couplings.corners;
+                let (mut matrix, system) = rayon::join(of_priors, || {
+                    VertexSystem::new(self, surface, albedos, corners)
+                });
                 system.add_bound(self, couplings, &mut matrix);
                 matrix.at_vertices = Some(system);
+                matrix
             }
         }
-        matrix
     }
 
     fn add_faces(

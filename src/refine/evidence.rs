@@ -147,7 +147,7 @@ impl Rounds<'_> {
             let worst = worst_known(information, normal) / REDUNDANCY;
             worst / (worst + prior)
         };
-        sums.iter().zip(&normals).map(share).collect()
+        sums.par_iter().zip(&normals).map(share).collect()
     }
 }
 

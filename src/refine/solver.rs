@@ -100,9 +100,10 @@ impl Pattern {
         let times = |x: &Step| {
             let mut product = match &matrix.at_vertices {
                 Some(system) => {
-                    let mut product = problem.prior_times(&x.displacement);
-                    system.add_times(&self.couplings.corners, &x.displacement, &mut product);
-                    product
+                    let (x, corners) = (&x.displacement, &self.couplings.corners);
+                    let of_priors = || problem.prior_times(x);
+                    let (prior, data) = rayon::join(of_priors, || system.times(corners, x));
+                    prior.iter().zip(&data).map(|(a, b)| a + b).collect()
                 }
                 None => matrix.times(&self.couplings.pairs, &x.displacement),
             };

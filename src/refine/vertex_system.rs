@@ -108,11 +108,14 @@ impl VertexSystem {
         }
         let faces = (0..self.faces.len()).into_par_iter().with_min_len(TILE);
         let bounds: Vec<FaceBound> = faces.map(|face| self.bound(face)).collect();
-        for (sides, bound) in couplings.of_faces.iter().zip(&bounds) {
-            for (corner, &side) in sides.iter().enumerate() {
-                matrix.off_diagonal[side as usize] += bound.jtj[(corner, (corner + 1) % 3)];
+        let off_diagonal = &mut matrix.off_diagonal;
+        let add_off_diagonal = || {
+            for (sides, bound) in couplings.of_faces.iter().zip(&bounds) {
+                for (corner, &side) in sides.iter().enumerate() {
+                    off_diagonal[side as usize] += bound.jtj[(corner, (corner + 1) % 3)];
+                }
             }
-        }
+        };
         let mut tiles: Vec<Vec<&mut [f64]>> = Vec::new();
         tiles.resize_with(matrix.diagonal.len().div_ceil(TILE), Vec::new);
         for group in &mut matrix.groups {
@@ -125,19 +128,23 @@ impl VertexSystem {
         let (diagonals, gradients) = (&mut matrix.diagonal, &mut matrix.gradient);
         let tiles = tiles.into_par_iter().zip(diagonals.par_chunks_mut(TILE));
         let tiles = tiles.zip(gradients.par_chunks_mut(TILE)).enumerate();
-        tiles.for_each(|(tile, ((mut by_group, diagonal), gradient))| {
-            for (k, (diagonal, gradient)) in diagonal.iter_mut().zip(gradient).enumerate() {
-                for [face, corner] in couplings.corners.of(tile * TILE + k) {
-                    let bound = &bounds[face];
-                    *diagonal += bound.jtj[(corner, corner)];
-                    *gradient += bound.gradient[corner];
-                    for (vertex, coupling) in self.faces[face].iter().zip(&bound.couplings) {
-                        let group = problem.labels[*vertex as usize] as usize;
-                        by_group[group][k] += coupling[corner];
+        let add_own = || {
+            tiles.for_each(|(tile, ((mut by_group, diagonal), gradient))| {
+                for (k, (diagonal, gradient)) in diagonal.iter_mut().zip(gradient).enumerate() {
+                    for [face, corner] in couplings.corners.of(tile * TILE + k) {
+                        let bound = &bounds[face];
+                        *diagonal += bound.jtj[(corner, corner)];
+                        *gradient += bound.gradient[corner];
+                        for (vertex, coupling) in self.faces[face].iter().zip(&bound.couplings) {
+                            let group = problem.labels[*vertex as usize] as usize;
+                            by_group[group][k] += coupling[corner];
+                        }
                     }
                 }
-            }
-        });
+            })
+        };
+        // Two faces share an entry beside the diagonal, which keeps one thread busy.
+        rayon::join(add_off_diagonal, add_own);
     }
 
     fn bound(&self, face: usize) -> FaceBound {
@@ -172,21 +179,22 @@ impl VertexSystem {
         bound
     }
 
-    /// Adds the product of the data term's own matrix with displacements `x`.
-    pub fn add_times(&self, corners: &VertexCorners, x: &[f64], product: &mut [f64]) {
+    /// The product of the data term's own matrix with displacements `x`.
+    pub fn times(&self, corners: &VertexCorners, x: &[f64]) -> Vec<f64> {
         let faces = self.faces.par_iter().zip(&self.by_corners);
         let turned = faces
             .map(|(&[a, b, c], by)| by * Vector3::new(x[a as usize], x[b as usize], x[c as usize]));
         let turned: Vec<Vector3<f64>> = turned.collect();
-        let vertices = product.par_iter_mut().zip(x).zip(&self.terms);
+        let vertices = x.par_iter().zip(&self.terms);
         let changes = vertices.enumerate().with_min_len(TILE);
-        let changes = changes.map(|(vertex, ((product, x), terms))| {
+        let changes = changes.map(|(vertex, (x, terms))| {
             let change: Vector3<f64> = corners.of(vertex).map(|[face, _]| turned[face]).sum();
             let by_size = change * terms.inv_size;
-            *product += terms.by_both.dot(&by_size) + terms.by_displacement * x;
-            (terms.by_normal * by_size + terms.by_both * *x) * terms.inv_size
+            let own = terms.by_both.dot(&by_size) + terms.by_displacement * x;
+            let change = (terms.by_normal * by_size + terms.by_both * *x) * terms.inv_size;
+            (change, own)
         });
-        let changes: Vec<Vector3<f64>> = changes.collect();
+        let (changes, mut product): (Vec<Vector3<f64>>, Vec<f64>) = changes.unzip();
         let faces = self.faces.par_iter().zip(&self.by_corners);
         let backwards = faces.map(|(&[a, b, c], by)| {
             by.tr_mul(&(changes[a as usize] + changes[b as usize] + changes[c as usize]))
@@ -198,6 +206,7 @@ impl VertexSystem {
                 *product += backwards[face][corner];
             }
         });
+        product
     }
 }
 
@@ -315,8 +324,7 @@ mod tests {
         let system = matrix.at_vertices.as_ref().expect("sites are at vertices");
         let prior = problem.prior_matrix(&surface.total_m, &couplings);
         for x in directions(&surface) {
-            let mut data = vec![0.0; x.len()];
-            system.add_times(&couplings.corners, &x, &mut data);
+            let data = system.times(&couplings.corners, &x);
             let steps = |by: f64| -> Vec<f64> { x.iter().map(|x| by * x).collect() };
             let gradient = |by: f64| linearise(&surface.displaced(&steps(by))).gradient;
             let (back, forth) = (gradient(-1e-8), gradient(1e-8));
