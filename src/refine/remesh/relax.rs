@@ -20,6 +20,22 @@ const ROUNDING_M: f64 = 1e-9;
 /// Moves interior vertices to the area-weighted means of their neighbours, within their tangent planes, and from there
 /// to the closest points of the surface. Vertices on the border stay, and so do those that would fold the surface.
 pub(super) fn relax_onto(mesh: &mut DynamicMesh, surface: &TriangleBvh) {
+    relax(mesh, |target, from| {
+        // The vertex lies on the surface itself but for rounding, if it has been moved there before.
+        let reach = 1.001 * (target - from).norm() + ROUNDING_M;
+        surface
+            .closest_point(&target, reach)
+            .or_else(|| surface.closest_point(&target, f64::INFINITY))
+            .map_or(target, |closest| closest.point)
+    });
+}
+
+/// Moves interior vertices to the area-weighted means of their neighbours, within their tangent planes, and where `onto` then puts
+/// them, which is told where they were. Vertices on the border stay, and so do those that would fold the surface.
+pub(super) fn relax(
+    mesh: &mut DynamicMesh,
+    onto: impl Fn(Point3<f64>, &Point3<f64>) -> Point3<f64> + Sync + Send,
+) {
     let normals: Vec<Vector3<f64>> = (0..mesh.n_face_slots())
         .into_par_iter()
         .map(|face| {
@@ -38,12 +54,7 @@ pub(super) fn relax_onto(mesh: &mut DynamicMesh, surface: &TriangleBvh) {
             return *mesh.position(vertex);
         }
         let target = relaxed(mesh, vertex, &areas, &around(vertex).sum());
-        // The vertex lies on the surface itself but for rounding, if it has been moved there before.
-        let reach = 1.001 * (target - mesh.position(vertex)).norm() + ROUNDING_M;
-        surface
-            .closest_point(&target, reach)
-            .or_else(|| surface.closest_point(&target, f64::INFINITY))
-            .map_or(target, |closest| closest.point)
+        onto(target, mesh.position(vertex))
     });
     let old = std::mem::replace(&mut mesh.positions, moved);
     put_back_folds(mesh, &old);

@@ -1,7 +1,7 @@
 //! Halving of all edges at once, for a finer mesh whose vertices and faces are known by those of the coarser one.
 
 use super::dynamic_mesh::DynamicMesh;
-use super::relax::relax_onto;
+use super::relax::{relax, relax_onto};
 use crate::geometry::{TriMesh, TriangleBvh};
 
 /// Marks an edge that has no middle yet.
@@ -55,7 +55,9 @@ pub fn subdivide(
     let vertices = parents.iter().map(middle).collect();
     let flat = TriMesh { vertices, faces };
     let mut relaxed = DynamicMesh::new(&flat);
-    for _ in 0..RELAXATIONS {
+    // Where vertices lie on the surface matters only for where they end.
+    relax(&mut relaxed, |target, _| target);
+    for _ in 1..RELAXATIONS {
         relax_onto(&mut relaxed, surface);
     }
     Subdivided {
