@@ -71,7 +71,8 @@ const MAX_STEPS: usize = 8;
 #[derive(Clone)]
 pub struct Infrared {
     optics: InfraredOptics,
-    rays: RayGrid,
+    /// The flat field of each pixel.
+    flat: Image<f64>,
     /// The camera of the model's pixels.
     camera: CameraModel,
     counts: Image<u16>,
@@ -95,8 +96,8 @@ impl Infrared {
     /// No image yet.
     pub fn new(camera: CameraModel, optics: InfraredOptics) -> Self {
         Infrared {
+            flat: optics.calibration.flat_field.image(&RayGrid::new(camera)),
             optics,
-            rays: RayGrid::new(camera),
             camera: camera.reduced(REDUCTION),
             counts: Image::filled(camera.intrinsics().width, camera.intrinsics().height, 0),
             is_in_hand: false,
@@ -183,13 +184,13 @@ impl Infrared {
 
     /// The image in hand, linear, with the model's pixels.
     fn linear(&self) -> Option<LinearImage> {
-        let Infrared { optics, rays, .. } = self;
+        let Infrared { optics, flat, .. } = self;
         if !self.is_in_hand {
             return None;
         }
         let counts = self.counts.map(|&counts| f32::from(counts));
         let (scale, calibration) = (optics.full_scale, &optics.calibration);
-        let linear = linearise(&counts, scale, SATURATION, calibration, rays);
+        let linear = linearise(&counts, scale, SATURATION, calibration, flat);
         Some(reduced(&linear, &self.camera))
     }
 

@@ -102,6 +102,7 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
         radius_m: radius_about(&scene, &Point3::new(0.0, 0.0, EDGE_M)),
         optics: &optics,
         trust: &ImageTrust::default(),
+        flat: &optics.flat_image(),
         patches: &optics.patch_grid(),
     };
     let mut view = View::new(&snapshot(&optics), &context);

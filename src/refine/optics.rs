@@ -3,7 +3,7 @@
 use crate::geometry::RayGrid;
 use crate::interreflection::{PatchGrid, WhiteLevel};
 use crate::shading::{Calibration, NearLight};
-use depth_camera::CameraInfo;
+use depth_camera::{CameraInfo, Image};
 
 /// What all views of one camera share.
 pub struct Optics<'a> {
@@ -26,6 +26,11 @@ impl<'a> Optics<'a> {
             full_scale: info.ir_full_scale?,
             calibration,
         })
+    }
+
+    /// The flat field of each pixel.
+    pub fn flat_image(&self) -> Image<f64> {
+        self.calibration.flat_field.image(self.rays)
     }
 
     /// The same camera with another calibration, which says where the light is.

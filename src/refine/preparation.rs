@@ -70,16 +70,17 @@ impl Preparation {
                 n_views: snapshots.len(),
             });
         }
-        check_manifold(object)?;
         let params = RefineParams {
             edge_length_m: params.edge_length_for(object.area_m2()),
             ..params.clone()
         };
         let centre = centre_of(object);
         // Meshing keeps one thread busy.
-        let (levels, mut views) =
-            rayon::join(|| levels(object, &params), || views_of(subject, &params));
-        let levels = levels?;
+        let (levels, views) = rayon::join(
+            || levels(object, &params),
+            || check_manifold(object).map(|()| views_of(subject, &params)),
+        );
+        let (mut views, levels) = (views?, levels?);
         let mut fine = levels
             .iter()
             .map(|level| level.edge_length_m <= ASKED_EDGE_M);
@@ -311,6 +312,7 @@ fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
         radius_m: radius_about(object, &centre),
         optics,
         trust: &params.trust,
+        flat: &optics.flat_image(),
         patches: &optics.patch_grid(),
     };
     let mut views: Vec<View> = snapshots

@@ -229,6 +229,7 @@ pub fn views_of(snapshots: &[ShadingSnapshot], base: &TriMesh, believed: &Optics
         radius_m: radius_about(base, &centre),
         optics: believed,
         trust: &trust,
+        flat: &believed.flat_image(),
         patches: &believed.patch_grid(),
     };
     let view = |snapshot| View::new(snapshot, &context);

@@ -95,7 +95,7 @@ fn log_albedo(snapshot: &ShadingSnapshot, depth_m: &Image<f32>, optics: &Optics)
         optics.full_scale,
         SATURATION,
         optics.calibration,
-        optics.rays,
+        &optics.flat_image(),
     );
     let (width, height) = (depth_m.width(), depth_m.height());
     let at = |u: usize, v: usize| point(depth_m, u, v, optics);

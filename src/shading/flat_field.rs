@@ -1,5 +1,7 @@
 //! The factor by which a lens darkens the image towards its corners: a function of the ray, not of depth.
 
+use crate::geometry::RayGrid;
+use depth_camera::Image;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -23,6 +25,12 @@ impl FlatField {
             FlatField::CosinePower { power } => (1.0 + x * x + y * y).powf(-0.5 * power),
             FlatField::Spline(map) => map.log_factor(x, y).exp(),
         }
+    }
+
+    /// The factor for every pixel of an image with these rays; NaN where there is no ray.
+    pub fn image(&self, rays: &RayGrid) -> Image<f64> {
+        let factor = |&[x, y]: &[f32; 2]| self.factor(f64::from(x), f64::from(y));
+        rays.rays().map(factor)
     }
 
     /// Checks the values against their bounds.

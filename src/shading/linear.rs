@@ -1,7 +1,6 @@
 //! From observed IR to linear intensity: the response and the flat field removed, the pixel's own blur undone.
 
 use super::Calibration;
-use crate::geometry::RayGrid;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use depth_camera::Image;
 
@@ -22,19 +21,18 @@ const FOOTPRINT_VARIANCE_PX2: f32 = 0.25;
 /// Inverts Eq. (1) for a whole image: `L = (I / full scale)^(1/gamma) / flat`, then takes the footprint's blur off with
 /// `L − (var/2) ∇²L`. The noise goes with it: `sigma_L = sigma_I · (1/gamma) · I^(1/gamma − 1) / flat`.
 ///
-/// `saturation` is the share of full scale from which a pixel counts as saturated.
+/// `saturation` is the share of full scale from which a pixel counts as saturated, `flat` the flat field's [image](super::FlatField::image).
 pub fn linearise(
     counts: &Image<f32>,
     full_scale: f64,
     saturation: f64,
     calibration: &Calibration,
-    rays: &RayGrid,
+    flat: &Image<f64>,
 ) -> LinearImage {
     let inv_gamma = 1.0 / calibration.gamma;
     let (mut value, mut sigma) = (Vec::new(), Vec::new());
-    for (&counts, &[x, y]) in counts.data().iter().zip(rays.rays().data()) {
+    for (&counts, &flat) in counts.data().iter().zip(flat.data()) {
         let observed = counts as f64 / full_scale;
-        let flat = calibration.flat_field.factor(x as f64, y as f64);
         if observed >= saturation || observed <= calibration.noise.read || flat.is_nan() {
             value.push(f32::NAN);
             sigma.push(f32::NAN);
@@ -191,7 +189,7 @@ pub fn between_pixels(image: &Image<f32>, u: &Lane, v: &Lane) -> (Lane, [Lane; 2
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::CameraModel;
+    use crate::geometry::{CameraModel, RayGrid};
     use depth_camera::{Intrinsics, Sensor};
 
     #[test]
@@ -221,14 +219,11 @@ mod tests {
             p2: 0.0,
             k3: 0.0,
         });
-        let rays = RayGrid::new(camera);
         let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
         let truth = 0.3f64;
-        let counts = rays.rays().map(|&[x, y]| {
-            let flat = calibration.flat_field.factor(x as f64, y as f64);
-            (65535.0 * (truth * flat).powf(calibration.gamma)) as f32
-        });
-        let linear = linearise(&counts, 65535.0, 0.99, &calibration, &rays);
+        let flat = calibration.flat_field.image(&RayGrid::new(camera));
+        let counts = flat.map(|flat| (65535.0 * (truth * flat).powf(calibration.gamma)) as f32);
+        let linear = linearise(&counts, 65535.0, 0.99, &calibration, &flat);
         let (value, gradient, sigma) = linear.sample(12.3, 40.7).expect("inside");
         assert!((value - truth).abs() < 1e-5);
         assert!(gradient[0].abs() < 1e-5 && gradient[1].abs() < 1e-5);
