@@ -90,6 +90,7 @@ impl EncodedPictures {
             refined: refined.par_iter().map(rgb).collect::<io::Result<_>>()?,
             thumbnails: thumbnails
                 .par_iter()
+                .with_max_len(1)
                 .map(thumbnail)
                 .collect::<io::Result<_>>()?,
             depth: depth_thumbnail.as_ref().map(grey).transpose()?,

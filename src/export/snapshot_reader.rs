@@ -40,6 +40,7 @@ pub fn read_snapshots(dir: &Path) -> Result<Vec<StoredSnapshot>, ExportError> {
     let whole: Vec<PathBuf> = whole.collect();
     let read: Vec<Result<_, _>> = whole
         .par_iter()
+        .with_max_len(1)
         .map(|folder| read_snapshot(folder))
         .collect();
     read.into_iter().collect()

@@ -56,7 +56,7 @@ pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), Exp
         check(record).map_err(|what| ExportError::unfit(&root.join(folder_name(index)), what))?;
     }
     fs::create_dir_all(&root).map_err(|cause| ExportError::write(&root, cause))?;
-    let folders = records.par_iter().enumerate();
+    let folders = records.par_iter().with_max_len(1).enumerate();
     folders
         .try_for_each(|(index, record)| write_snapshot(&root.join(folder_name(index)), record))?;
     for index in records.len().. {
@@ -75,7 +75,7 @@ pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), Exp
 /// [`ExportError::Write`] if a file cannot be written.
 pub fn write_masks(dir: &Path, masks: &[Image<u8>]) -> Result<(), ExportError> {
     let root = dir.join("snapshots");
-    let masks = masks.par_iter().enumerate();
+    let masks = masks.par_iter().with_max_len(1).enumerate();
     masks.try_for_each(|(index, mask)| write_mask(&root.join(folder_name(index)), mask))
 }
 

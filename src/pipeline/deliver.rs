@@ -117,6 +117,7 @@ impl Outbox {
     pub fn snapshots(&self, snapshots: &[ShadingSnapshot], info: &CameraInfo) {
         let images: Vec<(Image<u16>, Image<u8>)> = snapshots
             .par_iter()
+            .with_max_len(1)
             .map(|snapshot| (counts(&snapshot.ir_counts), depth_mask(snapshot)))
             .collect();
         let unlit = snapshots.iter().map(|snapshot| &snapshot.unlit_counts);

@@ -1,7 +1,7 @@
 //! Which displacements meet in the normal matrix: those of every edge of the mesh, and those of every two vertices that
 //! stand for the same patch.
 
-use super::energy::TILE;
+use super::energy::in_tiles;
 use super::patches::Patch;
 use crate::geometry::{EdgeAdjacency, Lists, TriMesh};
 use rayon::prelude::*;
@@ -42,9 +42,8 @@ impl VertexCorners {
 
     /// Sums of a value of each face over the faces around each vertex, in the order of the faces.
     pub fn sums<T: Sum + Send>(&self, of_face: impl Fn(usize) -> T + Sync) -> Vec<T> {
-        let vertices = (0..self.0.len()).into_par_iter();
         let sum = |vertex| self.of(vertex).map(|[face, _]| of_face(face)).sum();
-        vertices.with_min_len(TILE).map(sum).collect()
+        in_tiles(self.0.len()).map(sum).collect()
     }
 }
 

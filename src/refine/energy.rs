@@ -80,6 +80,12 @@ pub struct GroupTerms {
 /// Sites in a tile of a sum.
 pub const TILE: usize = 2048;
 
+/// The numbers of `n` sites, faces or vertices, of which threads that have nothing left to do take [`TILE`] from others.
+pub fn in_tiles(n: usize) -> impl IndexedParallelIterator<Item = usize> + Clone {
+    let all = (0..n).into_par_iter();
+    all.with_min_len(TILE).with_max_len(TILE)
+}
+
 /// What the views of one site add to the normal equations.
 #[derive(Clone, Copy)]
 pub struct Block<const N: usize> {
@@ -143,7 +149,7 @@ impl Problem<'_> {
             };
             sites.filter_map(energy).sum()
         };
-        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter();
+        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter().with_max_len(1);
         // The priors keep one thread busy.
         let (prior, data) = rayon::join(
             || self.prior_energy(&surface.total_m),
@@ -229,9 +235,7 @@ impl Problem<'_> {
         couplings: &Couplings,
         matrix: &mut NormalMatrix,
     ) {
-        let blocks: Vec<Block<3>> = (0..surface.mesh.faces.len())
-            .into_par_iter()
-            .with_min_len(TILE)
+        let blocks: Vec<Block<3>> = in_tiles(surface.mesh.faces.len())
             .map(|face| self.face_block(surface, albedos, face))
             .collect();
         let faces = surface.mesh.faces.iter().zip(self.labels);

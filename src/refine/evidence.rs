@@ -12,7 +12,7 @@
 //! detail: on a scan with known truth it puts vertices in the order of their errors, and lies within a factor of two of the error
 //! of their detail, while the slow shape was off by four times as much.
 
-use super::energy::{Problem, Surface};
+use super::energy::{Problem, Surface, in_tiles};
 use super::rounds::{Rounds, State, final_loss};
 use super::sites::{SiteKind, Sites, ViewSet};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
@@ -130,8 +130,7 @@ impl Rounds<'_> {
     ) -> Vec<f64> {
         let slope_sigma = self.params.slope_sigma_rad;
         let prior = 1.0 / (slope_sigma * slope_sigma);
-        let of_sites: Vec<Matrix3<f64>> = (0..albedo.len())
-            .into_par_iter()
+        let of_sites: Vec<Matrix3<f64>> = in_tiles(albedo.len())
             .map(|site| tilt_information(problem, (site, &sites.normals[site]), albedo[site]))
             .collect();
         let sums = match sites.kind {

@@ -118,6 +118,7 @@ pub fn judge(
     let refined = rounds.unseen(&surface.mesh, albedo);
     let held_out = views
         .par_iter_mut()
+        .with_max_len(1)
         .enumerate()
         .filter(|(view, _)| held_out >> view & 1 == 1);
     held_out

@@ -152,7 +152,8 @@ impl Observations {
     ) -> Observations {
         let n_sites = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
-        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter().map(|tile| {
+        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter();
+        let tiles = tiles.with_max_len(1).map(|tile| {
             let range = tile * TILE..((tile + 1) * TILE).min(n_sites);
             let looked_at = LookedAt {
                 sites,

@@ -317,6 +317,7 @@ fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
     };
     let mut views: Vec<View> = snapshots
         .par_iter()
+        .with_max_len(1)
         .map(|snapshot| View::new(snapshot, &context))
         .collect();
     if params.interreflection {

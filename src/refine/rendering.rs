@@ -28,7 +28,7 @@ impl<'a> Rendered<'a> {
     /// Renders a mesh as the views that see its sites would show it.
     pub fn new(mesh: &TriMesh, sites: &Sites, views: &[View], albedo: &'a [f64]) -> Self {
         let seeing = sites.visible.iter().fold(0, |all, visible| all | visible);
-        let views = views.par_iter().enumerate();
+        let views = views.par_iter().with_max_len(1).enumerate();
         let image = |(index, view): (usize, &View)| {
             let sees = seeing >> index & 1 == 1;
             sees.then(|| sharpen(&render(view, mesh, (sites, index), albedo)))

@@ -206,7 +206,8 @@ impl Rounds<'_> {
         loss: Tukey,
     ) {
         let centre = centre_of(mesh);
-        views.par_iter_mut().enumerate().for_each(|(k, view)| {
+        let views = views.par_iter_mut().with_max_len(1);
+        views.enumerate().for_each(|(k, view)| {
             let (chosen, stands_for) = sites_to_align_by(sites.of_view(k));
             let target = AlignmentTarget {
                 sites,

@@ -1,6 +1,6 @@
 //! Where the surface is compared with the images: one site a facet, at its centroid, or one a vertex.
 
-use super::energy::unit_normal;
+use super::energy::{TILE, unit_normal};
 use super::gaze::{Gaze, Surfels, set_lane};
 use super::site_gloss::SiteGloss;
 use super::view::{Look, Sample, View};
@@ -82,6 +82,7 @@ impl Sites {
             .collect();
         let places = points.par_chunks(LANES).zip(normals.par_chunks(LANES));
         let tiles = visible.par_chunks_mut(LANES).zip(places);
+        let tiles = tiles.with_max_len(TILE / LANES);
         tiles.for_each(|(visible, (points, normals))| {
             let (mut places, mut directions) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
             for (lane, (point, normal)) in points.iter().zip(normals).enumerate() {

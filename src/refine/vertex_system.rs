@@ -9,7 +9,7 @@
 //! is wider than a ring and too stiff for what is not; a few conjugate gradients make up for that.
 
 use super::couplings::{Couplings, VertexCorners};
-use super::energy::{NormalMatrix, Problem, Surface, TILE, area_vector_by_displacement};
+use super::energy::{NormalMatrix, Problem, Surface, TILE, area_vector_by_displacement, in_tiles};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -68,14 +68,14 @@ impl VertexSystem {
         let mesh = &surface.mesh;
         let n_vertices = mesh.vertices.len();
         let n_faces = mesh.faces.len();
-        let faces = (0..n_faces).into_par_iter().with_min_len(TILE);
+        let faces = in_tiles(n_faces);
         let normals: Vec<Vector3<f64>> = faces.clone().map(|face| mesh.face_normal(face)).collect();
         let sizes: Vec<f64> = normals.par_iter().map(Vector3::norm).collect();
         let least = MIN_SIZE * sizes.iter().sum::<f64>() / n_faces.max(1) as f64;
         let sizes: Vec<f64> = sizes.into_iter().map(|size| size.max(least)).collect();
         let along = corners.sums(|face| normals[face]);
         let rings = corners.sums(|face| sizes[face]);
-        let vertices = (0..n_vertices).into_par_iter().with_min_len(TILE);
+        let vertices = in_tiles(n_vertices);
         let terms = vertices.map(|vertex| {
             let is_seen = !problem.observations.of(vertex).is_empty();
             let normal = along[vertex].try_normalize(0.0).filter(|_| is_seen);
@@ -106,7 +106,7 @@ impl VertexSystem {
             group.diagonal += diagonal;
             group.gradient += gradient;
         }
-        let faces = (0..self.faces.len()).into_par_iter().with_min_len(TILE);
+        let faces = in_tiles(self.faces.len());
         let bounds: Vec<FaceBound> = faces.map(|face| self.bound(face)).collect();
         let off_diagonal = &mut matrix.off_diagonal;
         let add_off_diagonal = || {
@@ -127,7 +127,8 @@ impl VertexSystem {
         }
         let (diagonals, gradients) = (&mut matrix.diagonal, &mut matrix.gradient);
         let tiles = tiles.into_par_iter().zip(diagonals.par_chunks_mut(TILE));
-        let tiles = tiles.zip(gradients.par_chunks_mut(TILE)).enumerate();
+        let tiles = tiles.zip(gradients.par_chunks_mut(TILE)).with_max_len(1);
+        let tiles = tiles.enumerate();
         let add_own = || {
             tiles.for_each(|(tile, ((mut by_group, diagonal), gradient))| {
                 for (k, (diagonal, gradient)) in diagonal.iter_mut().zip(gradient).enumerate() {
@@ -181,29 +182,30 @@ impl VertexSystem {
 
     /// The product of the data term's own matrix with displacements `x`.
     pub fn times(&self, corners: &VertexCorners, x: &[f64]) -> Vec<f64> {
-        let faces = self.faces.par_iter().zip(&self.by_corners);
-        let turned = faces
-            .map(|(&[a, b, c], by)| by * Vector3::new(x[a as usize], x[b as usize], x[c as usize]));
+        let at_corners = |face: usize| self.faces[face].map(|vertex| vertex as usize);
+        let turned = in_tiles(self.faces.len())
+            .map(|face| self.by_corners[face] * Vector3::from(at_corners(face).map(|at| x[at])));
         let turned: Vec<Vector3<f64>> = turned.collect();
-        let vertices = x.par_iter().zip(&self.terms);
-        let changes = vertices.enumerate().with_min_len(TILE);
-        let changes = changes.map(|(vertex, (x, terms))| {
+        let changes = in_tiles(x.len()).map(|vertex| {
+            let (x, terms) = (x[vertex], &self.terms[vertex]);
             let change: Vector3<f64> = corners.of(vertex).map(|[face, _]| turned[face]).sum();
             let by_size = change * terms.inv_size;
             let own = terms.by_both.dot(&by_size) + terms.by_displacement * x;
-            let change = (terms.by_normal * by_size + terms.by_both * *x) * terms.inv_size;
+            let change = (terms.by_normal * by_size + terms.by_both * x) * terms.inv_size;
             (change, own)
         });
         let (changes, mut product): (Vec<Vector3<f64>>, Vec<f64>) = changes.unzip();
-        let faces = self.faces.par_iter().zip(&self.by_corners);
-        let backwards = faces.map(|(&[a, b, c], by)| {
-            by.tr_mul(&(changes[a as usize] + changes[b as usize] + changes[c as usize]))
+        let backwards = in_tiles(self.faces.len()).map(|face| {
+            let [a, b, c] = at_corners(face);
+            self.by_corners[face].tr_mul(&(changes[a] + changes[b] + changes[c]))
         });
         let backwards: Vec<Vector3<f64>> = backwards.collect();
-        let vertices = product.par_iter_mut().enumerate().with_min_len(TILE);
-        vertices.for_each(|(vertex, product)| {
-            for [face, corner] in corners.of(vertex) {
-                *product += backwards[face][corner];
+        let tiles = product.par_chunks_mut(TILE).with_max_len(1).enumerate();
+        tiles.for_each(|(tile, products)| {
+            for (vertex, product) in (tile * TILE..).zip(products) {
+                for [face, corner] in corners.of(vertex) {
+                    *product += backwards[face][corner];
+                }
             }
         });
         product

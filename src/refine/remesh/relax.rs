@@ -5,6 +5,9 @@ use crate::geometry::TriangleBvh;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
+/// Vertices that a thread works on without being asked for some of them.
+const TILE: usize = 2048;
+
 /// Times that vertices of folded faces are put back before the rest is accepted. Arbitrary.
 const MAX_REPAIRS: usize = 4;
 
@@ -63,6 +66,7 @@ pub(super) fn relax(
 fn per_vertex<T: Send>(mesh: &DynamicMesh, value: impl Fn(u32) -> T + Sync + Send) -> Vec<T> {
     (0..mesh.positions.len() as u32)
         .into_par_iter()
+        .with_max_len(TILE)
         .map(value)
         .collect()
 }

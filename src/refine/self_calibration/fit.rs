@@ -284,6 +284,7 @@ pub fn fit(
         let n = Unknowns::at_gloss(unknowns.gloss.len()) + unknowns.log_gains.len();
         let tiles: Option<Vec<(Normal, Vec<Own>)>> = patches
             .par_chunks(TILE)
+            .with_max_len(1)
             .map(|tile| {
                 let mut normal = Normal::zero(n);
                 let own: Option<Vec<Own>> = tile

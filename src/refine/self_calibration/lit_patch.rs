@@ -68,7 +68,7 @@ impl LitPatch {
         }
         let cells: Vec<Vec<u32>> = cells.into_values().collect();
         let patch = |faces: &Vec<u32>| LitPatch::new(faces, sites, views, optics, materials);
-        cells.par_iter().filter_map(patch).collect()
+        cells.par_iter().with_max_len(1).filter_map(patch).collect()
     }
 
     fn new(
