@@ -89,8 +89,8 @@ pub struct View {
 
 /// From this share of full scale a pixel counts as saturated.
 pub const SATURATION: f64 = 0.985;
-/// What hides is known to no less than this, metres: three pixels.
-pub const HIDING_CELL_M: f64 = 0.005;
+/// What hides is known to no less than this, metres.
+pub const HIDING_CELL_M: f64 = 0.004;
 /// Live depth nearer than the model by this much is something in front of it, metres.
 const OCCLUDER_M: f32 = 0.015;
 /// Depth differences beyond this between pixels two apart are an edge, metres; 78° at 0.6 m on Kinect II.
