@@ -1,6 +1,7 @@
 //! Shaded pictures of a mesh, for the report: one grey material under two lights that stand still beside the camera.
 //!
-//! Shading is computed in linear light and averaged over 2 × 2 samples a pixel before it is encoded as sRGB. Shadows, albedo
+//! Shading is computed in linear light and averaged over 2 × 2 samples a pixel, or once for a pixel within one face, before it is
+//! encoded as sRGB. Shadows, albedo
 //! and transparency are not drawn: the picture is to show shape.
 
 use super::{

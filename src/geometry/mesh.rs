@@ -7,6 +7,8 @@ use std::ops::{Add, AddAssign, Div};
 
 /// Sums at more vertices than this are worth several threads.
 const PARALLEL: usize = 10_000;
+/// All faces are gone through for each part of the vertices, of which there are so many at most.
+const MAX_PARTS: usize = 8;
 
 /// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,12 +68,14 @@ impl TriMesh {
     ) -> Vec<T> {
         let mut sums = vec![zero; self.vertices.len()];
         let n_parts = match rayon::current_thread_index() {
-            Some(_) if sums.len() > PARALLEL => rayon::current_num_threads(),
+            Some(_) if sums.len() > PARALLEL => rayon::current_num_threads().min(MAX_PARTS),
             _ => 1,
         };
         let n_in_part = sums.len().div_ceil(n_parts).max(1);
+        let n_vertices = sums.len();
         let sum_part = |(part, sums): (usize, &mut [T])| {
             for (face, corners) in self.faces.iter().enumerate() {
+                debug_assert!(corners.iter().all(|&vertex| (vertex as usize) < n_vertices));
                 let at = corners.map(|vertex| (vertex as usize).wrapping_sub(part * n_in_part));
                 if at.iter().all(|&at| at >= sums.len()) {
                     continue;
@@ -204,6 +208,36 @@ mod tests {
                 point(5.0, 1.0),
             ],
             faces: vec![[0, 1, 2], [3, 4, 5]],
+        }
+    }
+
+    #[test]
+    fn sums_at_vertices_are_the_same_on_any_number_of_threads() {
+        let n = PARALLEL as u32 + 3_001;
+        let scattered = |k: u32| (u64::from(k) * 7_919 % u64::from(n)) as u32;
+        let mut mesh = TriMesh {
+            vertices: vec![Point3::origin(); n as usize],
+            faces: (0..2 * n)
+                .map(|k| [k % n, scattered(k), scattered(k + 5)])
+                .collect(),
+        };
+        mesh.faces.push([4, 4, n - 1]);
+        let value = |face: usize| 1.0 / (face as f64 + 3.7);
+        let mut expected = vec![0.0; n as usize];
+        for (face, corners) in mesh.faces.iter().enumerate() {
+            for &vertex in corners {
+                expected[vertex as usize] += value(face);
+            }
+        }
+        assert_eq!(mesh.sums_at_vertices(0.0, value), expected);
+        for n_threads in [1, 2, 3] {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(n_threads)
+                .build();
+            let sums = pool
+                .expect("threads")
+                .install(|| mesh.sums_at_vertices(0.0, value));
+            assert!(sums == expected, "{n_threads} threads");
         }
     }
 

@@ -82,15 +82,21 @@ pub fn run(
     }
     let images = shading_images(setup, &scan);
     let will_refine = images.is_ok() && setup.refine.is_some() && !setup.stop.is_stopped();
-    // The base mesh first: whatever happens later, it is there.
+    // The base mesh first, then the shading images: whatever becomes of the object, they are there.
     let base = summary.object.as_ref().unwrap_or(&scan.base);
-    let deliver = || export_clock.time(|| deliver_base(setup, base, outbox));
+    let deliver = || {
+        export_clock.time(|| {
+            let base_mesh = deliver_base(setup, base, outbox);
+            if let Ok(snapshots) = &images {
+                outbox.snapshots(snapshots, &setup.info);
+            }
+            base_mesh
+        })
+    };
     let find_if_wanted = || (will_refine && summary.object.is_none()).then(find);
     let (base_mesh, found) = setup.pool.join(deliver, find_if_wanted);
     summary.base_mesh = Some(base_mesh);
     let refined = images.and_then(|snapshots| {
-        let write = || outbox.snapshots(snapshots, &setup.info);
-        export_clock.time(|| setup.pool.install(write));
         if setup.refine.is_none() {
             return Err(SWITCHED_OFF.to_owned());
         }

@@ -4,6 +4,7 @@
 use crate::geometry::{Pose, TriMesh};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 /// An axis-aligned box in the world frame, metres.
@@ -71,9 +72,7 @@ pub fn select_object(mesh: &TriMesh, world_from_cameras: &[Pose]) -> (TriMesh, O
     };
     let (labels, n_parts) = standing.face_components();
     let parts = measure_parts(&standing, &labels, n_parts, world_from_cameras);
-    let Some(main) =
-        (0..n_parts).max_by(|&a, &b| parts[a].attention.total_cmp(&parts[b].attention))
-    else {
+    let Some(main) = (0..n_parts).max_by(|&a, &b| parts[a].compare(&parts[b])) else {
         return (TriMesh::default(), plane);
     };
     let kept = touching_parts(&standing, &labels, &parts, main);
@@ -86,8 +85,16 @@ pub fn select_object(mesh: &TriMesh, world_from_cameras: &[Pose]) -> (TriMesh, O
 #[derive(Clone, Copy, Default)]
 struct Part {
     area_m2: f64,
-    /// Area weighted by nearness to the optical axes.
+    /// Area of one face in [`ATTENTION_EVERY`], weighted by nearness to the optical axes.
     attention: f64,
+}
+
+impl Part {
+    /// By attention; parts of too few faces to have any, by area.
+    fn compare(&self, other: &Part) -> Ordering {
+        let by_attention = self.attention.total_cmp(&other.attention);
+        by_attention.then(self.area_m2.total_cmp(&other.area_m2))
+    }
 }
 
 fn measure_parts(

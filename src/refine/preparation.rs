@@ -70,17 +70,16 @@ impl Preparation {
                 n_views: snapshots.len(),
             });
         }
+        check_manifold(object)?;
         let params = RefineParams {
             edge_length_m: params.edge_length_for(object.area_m2()),
             ..params.clone()
         };
         let centre = centre_of(object);
         // Meshing keeps one thread busy.
-        let (levels, views) = rayon::join(
-            || levels(object, &params),
-            || check_manifold(object).map(|()| views_of(subject, &params)),
-        );
-        let (mut views, levels) = (views?, levels?);
+        let (levels, mut views) =
+            rayon::join(|| levels(object, &params), || views_of(subject, &params));
+        let levels = levels?;
         let mut fine = levels
             .iter()
             .map(|level| level.edge_length_m <= ASKED_EDGE_M);

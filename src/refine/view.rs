@@ -367,7 +367,7 @@ fn mask_edges_and_occluders(
     }
 }
 
-/// What `of_two` takes of all pixels up to two beside each; NaN for pixels that are not so far from the border.
+/// What `of_two` takes of all pixels up to two beside each, which are numbers; NaN for pixels that are not so far from the border.
 fn of_pixels_around(image: &Image<f32>, of_two: impl Fn(f32, f32) -> f32) -> Image<f32> {
     const REACH: usize = 2;
     const SIDE: usize = 2 * REACH + 1;

@@ -29,8 +29,10 @@ impl FlatField {
 
     /// The factor for every pixel of an image with these rays; NaN where there is no ray.
     pub fn image(&self, rays: &RayGrid) -> Image<f64> {
-        let factor = |&[x, y]: &[f32; 2]| self.factor(f64::from(x), f64::from(y));
-        rays.rays().map(factor)
+        rays.rays().map(|&[x, y]| match x.is_nan() {
+            true => f64::NAN,
+            false => self.factor(f64::from(x), f64::from(y)),
+        })
     }
 
     /// Checks the values against their bounds.

@@ -2,11 +2,9 @@
 
 use super::dynamic_mesh::{DynamicMesh, VertexKind};
 use crate::geometry::TriangleBvh;
+use crate::refine::energy::in_tiles;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-
-/// Vertices that a thread works on without being asked for some of them.
-const TILE: usize = 2048;
 
 /// Times that vertices of folded faces are put back before the rest is accepted. Arbitrary.
 const MAX_REPAIRS: usize = 4;
@@ -64,10 +62,8 @@ pub(super) fn relax(
 }
 
 fn per_vertex<T: Send>(mesh: &DynamicMesh, value: impl Fn(u32) -> T + Sync + Send) -> Vec<T> {
-    (0..mesh.positions.len() as u32)
-        .into_par_iter()
-        .with_max_len(TILE)
-        .map(value)
+    in_tiles(mesh.positions.len())
+        .map(|vertex| value(vertex as u32))
         .collect()
 }
 
