@@ -1,8 +1,7 @@
 //! Shaded pictures of a mesh, for the report: one grey material under two lights that stand still beside the camera.
 //!
 //! Shading is computed in linear light and averaged over 2 × 2 samples a pixel, or once for a pixel within one face, before it is
-//! encoded as sRGB. Shadows, albedo
-//! and transparency are not drawn: the picture is to show shape.
+//! encoded as sRGB. Shadows, albedo and transparency are not drawn: the picture is to show shape.
 
 use super::{
     PhongParams, PictureView,
@@ -82,10 +81,9 @@ impl Scene<'_> {
             return params.background;
         }
         let (middle_u, middle_v) = (first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
-        let Some(ray) = self.camera.unproject(middle_u, middle_v) else {
-            return params.background;
-        };
-        let Some(look) = Look::along(&ray.push(1.0)) else {
+        let ray = self.camera.unproject(middle_u, middle_v);
+        let look = ray.and_then(|ray| Look::along(&ray.push(1.0)));
+        let (Some(ray), Some(look)) = (ray, look) else {
             return params.background;
         };
         let depths = places.map(|[u, v]| f64::from(*self.buffer.depth_m.at(u, v)));

@@ -66,13 +66,13 @@ impl TriMesh {
         zero: T,
         of_face: impl Fn(usize) -> T + Sync,
     ) -> Vec<T> {
-        let mut sums = vec![zero; self.vertices.len()];
+        let n_vertices = self.vertices.len();
+        let mut sums = vec![zero; n_vertices];
         let n_parts = match rayon::current_thread_index() {
-            Some(_) if sums.len() > PARALLEL => rayon::current_num_threads().min(MAX_PARTS),
+            Some(_) if n_vertices > PARALLEL => rayon::current_num_threads().min(MAX_PARTS),
             _ => 1,
         };
-        let n_in_part = sums.len().div_ceil(n_parts).max(1);
-        let n_vertices = sums.len();
+        let n_in_part = n_vertices.div_ceil(n_parts).max(1);
         let sum_part = |(part, sums): (usize, &mut [T])| {
             for (face, corners) in self.faces.iter().enumerate() {
                 debug_assert!(corners.iter().all(|&vertex| (vertex as usize) < n_vertices));

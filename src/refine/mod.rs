@@ -17,6 +17,7 @@ mod corner_tests;
 mod couplings;
 mod crop;
 mod dissection;
+mod edge_mask;
 mod energy;
 mod error;
 mod evidence;
