@@ -136,11 +136,11 @@ impl CellGrid {
         cells.into_iter().map(Option::unwrap_or_default).collect()
     }
 
-    /// A cell and those that touch it, nine but for the image's border.
-    pub fn beside(&self, cell: usize) -> impl Iterator<Item = usize> {
+    /// A cell and those up to `reach` columns and rows from it: nine for 1 but for the image's border.
+    pub fn beside(&self, cell: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
         let (column, row) = (cell % self.columns, cell / self.columns);
-        let columns = column.saturating_sub(1)..(column + 2).min(self.columns);
-        let rows = row.saturating_sub(1)..(row + 2).min(self.rows);
+        let columns = column.saturating_sub(reach)..(column + reach + 1).min(self.columns);
+        let rows = row.saturating_sub(reach)..(row + reach + 1).min(self.rows);
         let n_columns = self.columns;
         rows.flat_map(move |row| columns.clone().map(move |column| row * n_columns + column))
     }
@@ -230,8 +230,9 @@ mod tests {
             (cells.cell_of((40, 3)), cells.cell_of((3, 20))),
             (None, None)
         );
-        assert_eq!(cells.beside(0).collect::<Vec<_>>(), [0, 1, 4, 5]);
-        assert_eq!(cells.beside(6).collect::<Vec<_>>(), [1, 2, 3, 5, 6, 7]);
+        assert_eq!(cells.beside(0, 1).collect::<Vec<_>>(), [0, 1, 4, 5]);
+        assert_eq!(cells.beside(6, 1).collect::<Vec<_>>(), [1, 2, 3, 5, 6, 7]);
+        assert_eq!(cells.beside(0, 2).collect::<Vec<_>>(), [0, 1, 2, 4, 5, 6]);
     }
 
     #[test]

@@ -9,11 +9,13 @@
 
 mod indirect_light;
 mod patches;
+mod receivers;
 mod sources;
 mod support;
 
 pub use indirect_light::IndirectLight;
-pub use patches::{Lit, PatchGrid};
+pub use patches::{Lit, PatchGrid, Radiances};
+pub use receivers::{Receiver, receivers};
 pub use sources::{MIN_DISTANCE_M, Sources};
 
 use depth_camera::Image;
@@ -55,10 +57,10 @@ impl LitScene {
     where
         T: Copy + Into<f64> + Send + Sync,
     {
-        Self::of_radiances(grid, depth_m, &grid.radiances(depth_m, ir_counts))
+        Self::of_radiances(grid, depth_m, &grid.patch_radiances(depth_m, ir_counts))
     }
 
-    /// Cuts a depth image (metres, 0 is none) into patches whose [`PatchGrid::radiances`] are known.
+    /// Cuts a depth image (metres, 0 is none) into patches whose [`PatchGrid::patch_radiances`] are known.
     pub fn of_radiances(grid: &PatchGrid, depth_m: &Image<f32>, radiances: &[f32]) -> Self {
         let patches = grid.patches(depth_m, radiances);
         let beyond = support::beyond_the_image(&patches, grid);

@@ -27,16 +27,15 @@ pub struct Lit {
 const COLUMNS: usize = 32;
 /// Pixels between those that are looked at.
 const STEP_PX: usize = 4;
-/// Columns of places that receive light, where the surface is known: 4 pixels a place on a Kinect II.
-const RECEIVER_COLUMNS: usize = 128;
+/// Columns of places that receive light, where the surface is known: 4 pixels a place on a Kinect II. By places of 2 pixels brightness
+/// would tell more than the driver's filter has left in the depth.
+const PLACE_COLUMNS: usize = 128;
 /// Pixels between those of them that are looked at.
-const RECEIVER_STEP_PX: usize = 2;
-/// Neighbours that lie farther off than this are another surface, metres.
-const SAME_SURFACE_M: f64 = 0.02;
-/// Light that comes in more slantingly is taken to come in at this cosine: the normal of a patch is not known better, nor
-/// that of a receiver than by the next.
+pub const PLACE_STEP_PX: usize = 2;
+/// A place that holds a pixel this bright, share of full scale, may be brighter than it shows.
+const SATURATION: f64 = 0.985;
+/// Light that comes in more slantingly is taken to come in at this cosine: the normal of a patch is not known better.
 const MIN_INCIDENCE_COSINE: f64 = 0.15;
-const MIN_RECEIVED_COSINE: f64 = 0.1;
 
 /// The patches that one camera's images are cut into.
 #[derive(Clone, Debug)]
@@ -45,9 +44,54 @@ pub struct PatchGrid {
     light: NearLight,
     inv_full_scale: f64,
     gamma: f64,
-    /// One over the flat field in the middle of each patch.
-    inv_flat: Vec<f64>,
+    patches: Cut,
+    places: Cut,
+}
+
+/// An image cut into cells, of which some pixels are looked at.
+#[derive(Clone, Debug)]
+struct Cut {
     cells: CellGrid,
+    step_px: usize,
+    /// A cell with a pixel this bright or brighter, share of full scale, is not known.
+    saturation: f64,
+    /// One over the flat field in the middle of each cell.
+    inv_flat: Vec<f64>,
+}
+
+impl Cut {
+    fn new(
+        columns: usize,
+        step_px: usize,
+        saturation: f64,
+        rays: &RayGrid,
+        calibration: &Calibration,
+    ) -> Self {
+        let i = *rays.camera().intrinsics();
+        let cells = CellGrid::new(i.width, i.height, columns);
+        let inv_flat = (0..cells.n_cells())
+            .map(|cell| {
+                let (u, v) = cells.middle(cell);
+                let [x, y] = rays.rays().at(u, v).map(f64::from);
+                1.0 / calibration.flat_field.factor(x, y)
+            })
+            .collect();
+        Cut {
+            cells,
+            step_px,
+            saturation,
+            inv_flat,
+        }
+    }
+}
+
+/// Linear intensity of a frame, share of full scale; not a number where there is no depth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Radiances {
+    /// Of each patch, row by row.
+    pub patches: Vec<f32>,
+    /// Of each of the finer places that receive light; not a number where it is saturated, too.
+    pub places: Vec<f32>,
 }
 
 impl PatchGrid {
@@ -58,22 +102,13 @@ impl PatchGrid {
         full_scale: f64,
         calibration: &Calibration,
     ) -> Self {
-        let i = *rays.camera().intrinsics();
-        let cells = CellGrid::new(i.width, i.height, COLUMNS);
-        let inv_flat = (0..cells.n_cells())
-            .map(|cell| {
-                let (u, v) = cells.middle(cell);
-                let [x, y] = rays.rays().at(u, v).map(f64::from);
-                1.0 / calibration.flat_field.factor(x, y)
-            })
-            .collect();
         PatchGrid {
+            patches: Cut::new(COLUMNS, STEP_PX, f64::INFINITY, &rays, calibration),
+            places: Cut::new(PLACE_COLUMNS, PLACE_STEP_PX, SATURATION, &rays, calibration),
             rays,
             light,
             inv_full_scale: 1.0 / full_scale,
             gamma: calibration.gamma,
-            inv_flat,
-            cells,
         }
     }
 
@@ -82,61 +117,99 @@ impl PatchGrid {
         &self.rays
     }
 
-    /// The cells whose patches they are.
-    pub fn cells(&self) -> CellGrid {
-        self.cells
+    /// The light.
+    pub fn light(&self) -> &NearLight {
+        &self.light
     }
 
-    /// Linear intensity of each patch of a frame, row by row, share of full scale; not a number where there is no depth.
-    pub fn radiances<T>(&self, depth_m: &Image<f32>, ir_counts: &Image<T>) -> Vec<f32>
+    /// The cells whose patches they are.
+    pub fn cells(&self) -> CellGrid {
+        self.patches.cells
+    }
+
+    /// The cells of the places that receive light.
+    pub fn places(&self) -> CellGrid {
+        self.places.cells
+    }
+
+    /// How bright a frame is, by patches and by places.
+    pub fn radiances<T>(&self, depth_m: &Image<f32>, ir_counts: &Image<T>) -> Radiances
+    where
+        T: Copy + Into<f64> + Send + Sync,
+    {
+        Radiances {
+            patches: self.shown_by(&self.patches, depth_m, ir_counts),
+            places: self.shown_by(&self.places, depth_m, ir_counts),
+        }
+    }
+
+    /// How bright a frame is by patches alone.
+    pub fn patch_radiances<T>(&self, depth_m: &Image<f32>, ir_counts: &Image<T>) -> Vec<f32>
+    where
+        T: Copy + Into<f64> + Send + Sync,
+    {
+        self.shown_by(&self.patches, depth_m, ir_counts)
+    }
+
+    fn shown_by<T>(&self, cut: &Cut, depth_m: &Image<f32>, ir_counts: &Image<T>) -> Vec<f32>
     where
         T: Copy + Into<f64> + Send + Sync,
     {
         let inv_gamma = 1.0 / self.gamma;
-        (0..self.cells.n_cells())
+        (0..cut.cells.n_cells())
             .into_par_iter()
             .map(|cell| {
-                let (mut sum, mut n) = (0.0, 0);
-                for (u, v) in self.cells.square(cell, STEP_PX).pixels() {
+                let (mut sum, mut n, mut is_saturated) = (0.0, 0, false);
+                for (u, v) in cut.cells.square(cell, cut.step_px).pixels() {
                     if *depth_m.at(u, v) > 0.0 {
                         let counts: f64 = (*ir_counts.at(u, v)).into();
                         let observed = counts * self.inv_full_scale;
                         sum += observed.powf(inv_gamma);
                         n += 1;
+                        is_saturated |= observed >= cut.saturation;
                     }
                 }
-                (sum / f64::from(n) * self.inv_flat[cell]) as f32
+                match is_saturated {
+                    true => f32::NAN,
+                    false => (sum / f64::from(n) * cut.inv_flat[cell]) as f32,
+                }
             })
             .collect()
     }
 
     /// What the [`Self::radiances`] of a frame would be by another response of the same camera, but for what varies within a
-    /// patch.
-    pub fn linearised_anew(&self, radiances: &[f32], by: &PatchGrid) -> Vec<f32> {
+    /// patch or place.
+    pub fn linearised_anew(&self, radiances: &Radiances, by: &PatchGrid) -> Radiances {
         let exponent = self.gamma / by.gamma;
-        let patches = radiances.iter().zip(&self.inv_flat);
-        patches
-            .map(|(&radiance, inv_flat)| {
-                ((f64::from(radiance) / inv_flat).powf(exponent) * inv_flat) as f32
-            })
-            .collect()
+        let anew = |radiances: &[f32], cut: &Cut| {
+            let cells = radiances.iter().zip(&cut.inv_flat);
+            cells
+                .map(|(&radiance, inv_flat)| {
+                    ((f64::from(radiance) / inv_flat).powf(exponent) * inv_flat) as f32
+                })
+                .collect()
+        };
+        Radiances {
+            patches: anew(&radiances.patches, &self.patches),
+            places: anew(&radiances.places, &self.places),
+        }
     }
 
-    /// The patches of a frame with their [`Self::radiances`], row by row; `None` where depth is missing or holds an edge.
+    /// The patches of a frame with their [`Self::patch_radiances`], row by row; `None` where depth is missing or holds an edge.
     ///
     /// # Panics
     /// Unless there is one radiance for each patch.
     pub fn patches(&self, depth_m: &Image<f32>, radiances: &[f32]) -> Vec<Option<Lit>> {
         assert_eq!(
             radiances.len(),
-            self.cells.n_cells(),
+            self.patches.cells.n_cells(),
             "one radiance a patch"
         );
         radiances
             .par_iter()
             .enumerate()
             .map(|(cell, &radiance)| {
-                let square = self.cells.square(cell, STEP_PX);
+                let square = self.patches.cells.square(cell, STEP_PX);
                 let patch = DepthPatch::fit(depth_m, &self.rays, square)?;
                 radiance.is_finite().then_some(())?;
                 self.lit(
@@ -147,45 +220,6 @@ impl PatchGrid {
                 )
             })
             .collect()
-    }
-
-    /// Places of an image that receive light, sixteen in each patch, where the surface is known better than by one frame's
-    /// depth (m): `normal_at` gives it near a point of the camera frame, and it is averaged over the neighbouring places of the
-    /// same surface. They send no light.
-    pub fn receivers(
-        &self,
-        depth_m: &Image<f32>,
-        normal_at: impl Fn(&Point3<f64>) -> Option<Vector3<f64>> + Sync,
-    ) -> (CellGrid, Vec<Option<Lit>>) {
-        let cells = CellGrid::new(depth_m.width(), depth_m.height(), RECEIVER_COLUMNS);
-        let place = |cell: usize| {
-            let (mut points, mut normals, mut n) = (Vector3::zeros(), Vector3::zeros(), 0);
-            for (u, v) in cells.square(cell, RECEIVER_STEP_PX).pixels() {
-                let z = *depth_m.at(u, v);
-                if z <= 0.0 {
-                    continue;
-                }
-                let point = Point3::from((self.rays.direction(u, v) * z).cast::<f64>());
-                if let Some(normal) = normal_at(&point) {
-                    points += point.coords;
-                    normals += normal;
-                    n += 1;
-                }
-            }
-            (n > 0).then(|| (Point3::from(points / f64::from(n)), normals))
-        };
-        let places: Vec<Option<(Point3<f64>, Vector3<f64>)>> =
-            (0..cells.n_cells()).into_par_iter().map(place).collect();
-        let receiver = |cell: usize| {
-            let (point, _) = places[cell]?;
-            let beside = cells.beside(cell).filter_map(|other| places[other]);
-            let same = beside.filter(|(other, _)| (other - point).norm() < SAME_SURFACE_M);
-            let normal: Vector3<f64> = same.map(|(_, normal)| normal).sum();
-            let normal = normal.try_normalize(0.0)?;
-            self.lit_from(MIN_RECEIVED_COSINE, &point, &normal, 0.0, 0.0)
-        };
-        let receivers = (0..cells.n_cells()).into_par_iter().map(receiver).collect();
-        (cells, receivers)
     }
 
     /// A patch as the light reaches it; `None` behind the light.
@@ -199,7 +233,8 @@ impl PatchGrid {
         self.lit_from(MIN_INCIDENCE_COSINE, point, normal, area_m2, radiance)
     }
 
-    fn lit_from(
+    /// The same, where slanting light is taken to come in at a cosine of at least `min_cosine`.
+    pub fn lit_from(
         &self,
         min_cosine: f64,
         point: &Point3<f64>,

@@ -19,6 +19,17 @@ pub struct Bounce {
     pub range_m: f32,
 }
 
+impl Bounce {
+    /// The same in a place that is brighter by a factor r than its surroundings, whose direct light D the share is of: all light
+    /// there is r(D + sB), of which that which is bounced is still sB.
+    pub fn where_brighter_by(self, factor: f32) -> Bounce {
+        Bounce {
+            share: self.share,
+            range_m: self.range_m / factor,
+        }
+    }
+}
+
 impl Add for Bounce {
     type Output = Bounce;
 

@@ -6,7 +6,7 @@
 //! recorded bust that is 12 mm at the foot and nothing on top of the head. One infrared image and its depth hold what is
 //! needed to predict it: how bright every neighbour is as seen, and where it is (`bounce.rs`). The bias is that light over the
 //! direct one, which falls where light comes in slantingly: one frame's depth tells the surface's slant no finer than by patches of
-//! 16 pixels, a fused model by 4 ([`Multipath::predict_on`]). Unknown is one number,
+//! 16 pixels, a fused model and brightness together by 4 ([`Multipath::predict_on`]). Unknown is one number,
 //! how bright a perfectly white surface would be ([`WhiteLevel`]): it belongs to the device, and shows itself in a scan by how
 //! views of one place disagree ([`Evidence`]).
 //!
@@ -28,8 +28,9 @@ pub use search::{NextWhite, WhiteSearch};
 mod tests;
 
 use crate::geometry::{CameraModel, RayGrid};
-use crate::interreflection::{LitScene, PatchGrid, WhiteLevel};
+use crate::interreflection::{Lit, LitScene, PatchGrid, Radiances, WhiteLevel, receivers};
 use crate::shading::{Calibration, NearLight};
+use bounce::Bounce;
 use depth_camera::{CameraInfo, Frame, Image, LightKind, Sensor};
 use evidence::evidence;
 use nalgebra::{Point3, Vector3};
@@ -50,8 +51,8 @@ pub struct Multipath {
 pub struct Prediction {
     /// How far too long every range is, for any [`WhiteLevel`].
     pub bias: RangeBias,
-    /// How bright the image's patches are.
-    radiances: Vec<f32>,
+    /// How bright the image is.
+    radiances: Radiances,
     /// The white level if the frame's brightest surfaces are plaster.
     pub plausible_white: WhiteLevel,
 }
@@ -72,7 +73,7 @@ impl Multipath {
     pub fn predict(&self, frame: &Frame) -> Option<Prediction> {
         let (depth, ir) = (frame.depth.as_ref()?, frame.ir.as_ref()?);
         let radiances = self.grid.radiances(depth, ir);
-        let scene = LitScene::of_radiances(&self.grid, depth, &radiances);
+        let scene = LitScene::of_radiances(&self.grid, depth, &radiances.patches);
         let plausible_white = scene.plausible_white()?;
         let bounces = bounce::bounces(scene.patches(), &scene.sources());
         Some(Prediction {
@@ -82,17 +83,31 @@ impl Multipath {
         })
     }
 
-    /// Predicts the multipath of a frame once more, and four times as finely, where the surface is known: `normal_at` gives it
-    /// near a point, both in the camera frame, `depth_m` is the frame's depth (m) and `prediction` what it told by itself.
+    /// Predicts the multipath of a frame once more, and four times as finely, where the surface is known: `gradient_at` gives that
+    /// of its signed distance near a point, both in the camera frame, `depth_m` is the frame's depth (m) and `prediction` what it told by itself, or
+    /// what one near it did. A frame's own image says, by how bright places are among their neighbours, how slanting they are where the
+    /// model's normals do not.
     pub fn predict_on(
         &self,
         depth_m: &Image<f32>,
         prediction: &Prediction,
-        normal_at: impl Fn(&Point3<f64>) -> Option<Vector3<f64>> + Sync,
+        is_its_own: bool,
+        gradient_at: impl Fn(&Point3<f64>) -> Option<Vector3<f64>> + Sync,
     ) -> RangeBias {
-        let scene = LitScene::of_radiances(&self.grid, depth_m, &prediction.radiances);
-        let (cells, receivers) = self.grid.receivers(depth_m, normal_at);
-        RangeBias::new(cells, &bounce::bounces(&receivers, &scene.sources()))
+        let Radiances { patches, places } = &prediction.radiances;
+        let scene = LitScene::of_radiances(&self.grid, depth_m, patches);
+        let shown = is_its_own.then_some(&places[..]);
+        let receivers = receivers(&self.grid, depth_m, shown, gradient_at);
+        let lit: Vec<Option<Lit>> = receivers.iter().map(|r| r.map(|r| r.lit)).collect();
+        let bounces = bounce::bounces(&lit, &scene.sources());
+        let bounces: Vec<Option<Bounce>> = bounces
+            .iter()
+            .zip(&receivers)
+            .map(|(bounce, receiver)| {
+                Some((*bounce)?.where_brighter_by((*receiver)?.relative_brightness))
+            })
+            .collect();
+        RangeBias::new(self.grid.places(), &bounces)
     }
 
     /// Lets a prediction tell what it would by another calibration of the same camera; the bias by which its depth was corrected
@@ -107,7 +122,7 @@ impl Multipath {
         depth_m: &Image<f32>,
         prediction: &Prediction,
     ) -> Option<WhiteLevel> {
-        LitScene::of_radiances(&self.grid, depth_m, &prediction.radiances).plausible_white()
+        LitScene::of_radiances(&self.grid, depth_m, &prediction.radiances.patches).plausible_white()
     }
 
     /// A bias that was predicted finely, by the patches that views are compared by.

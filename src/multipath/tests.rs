@@ -202,7 +202,7 @@ fn on_a_known_surface_the_slanting_side_of_a_ball_is_predicted_as_by_dense_patch
         .collect();
     let dense = Sources::new(table.iter());
 
-    let on_model = multipath.predict_on(depth, &prediction, |point| {
+    let on_model = multipath.predict_on(depth, &prediction, true, |point| {
         let ball = pose * point - Point3::new(0.0, 0.0, RADIUS_M);
         let normal = if ball.norm() < 1.05 * RADIUS_M {
             unit(ball)
@@ -248,6 +248,47 @@ fn on_a_known_surface_the_slanting_side_of_a_ball_is_predicted_as_by_dense_patch
     assert!(
         on_model < 0.1 && by_patches > 2.0 * on_model,
         "on the model {on_model}, by patches {by_patches}"
+    );
+}
+
+#[test]
+fn a_place_that_is_darker_than_the_model_makes_it_has_more_bias_if_its_own_image_says_so() {
+    let scene = Scene::new();
+    let multipath = Multipath::new(&scene.info, &scene.calibration).expect("time of flight");
+    let pose = Scene::poses()[5];
+    let mut frame = scene.frame(&pose);
+    let ir = frame.ir.as_mut().expect("given");
+    // One place, on the ball's front.
+    let (u, v, dimmed) = (256, 216, 0.8f64);
+    let counts = (0..424usize).flat_map(|y| (0..512usize).map(move |x| (x, y)));
+    let counts = counts.map(|(x, y)| {
+        let is_dimmed = (u..u + 4).contains(&x) && (v..v + 4).contains(&y);
+        let factor = if is_dimmed { dimmed } else { 1.0 };
+        (f64::from(*ir.at(x, y)) * factor.powf(scene.calibration.gamma)) as u16
+    });
+    *ir = Image::from_vec(512, 424, counts.collect());
+    let depth = frame.depth.as_ref().expect("given");
+    let prediction = multipath.predict(&frame).expect("much is seen");
+    let normal_at = |point: &Point3<f64>| {
+        let ball = pose * point - Point3::new(0.0, 0.0, RADIUS_M);
+        let normal = if ball.norm() < 1.05 * RADIUS_M {
+            unit(ball)
+        } else {
+            Vector3::z()
+        };
+        Some(pose.rotation.inverse() * normal)
+    };
+    let bias = |is_its_own| multipath.predict_on(depth, &prediction, is_its_own, normal_at);
+    let cell = bias(true).cells().cell_of((u, v)).expect("on the image");
+    let [own, other] = [true, false].map(|is_its_own| {
+        let bias = bias(is_its_own);
+        bias.measured(cell).expect("on the ball").range_m
+    });
+    // Of 25 places one is darker, which dims what they are compared with.
+    let expected = (24.0 + dimmed) / 25.0 / dimmed;
+    assert!(
+        (f64::from(own / other) / expected - 1.0).abs() < 0.02,
+        "{own}, {other}"
     );
 }
 
@@ -332,7 +373,11 @@ fn a_prediction_by_a_wrong_response_becomes_that_of_the_right_one() {
     let expected = right.predict(&frame).expect("it shows light");
     let mut prediction = wrong.predict(&frame).expect("it shows light");
     wrong.recalibrate(&mut prediction, &right);
-    let pairs = prediction.radiances.iter().zip(&expected.radiances);
+    let pairs = prediction
+        .radiances
+        .patches
+        .iter()
+        .zip(&expected.radiances.patches);
     let bright = pairs.filter(|(_, expected)| **expected > 0.02);
     let mut errors: Vec<f64> = bright
         .map(|(a, b)| f64::from((a / b - 1.0).abs()))

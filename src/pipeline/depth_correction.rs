@@ -51,6 +51,12 @@ struct Known {
     shutter: Option<RollingShutter>,
 }
 
+/// What was predicted for a frame, or for one near it whose own was forgotten.
+struct Nearest<'a> {
+    prediction: &'a Prediction,
+    is_its_own: bool,
+}
+
 /// How far revising a scan came.
 struct Settled {
     revised: Option<Revised>,
@@ -137,8 +143,9 @@ impl DepthCorrection {
             before.recalibrate(prediction, &by);
         }
         if let Some(first) = fusion.keyframes().first().filter(|_| !self.is_measured) {
-            let prediction = self.prediction_near(first.time_secs);
-            self.recalibrated = prediction.and_then(|p| by.plausible_white(&first.depth_m(), p));
+            let nearest = self.prediction_near(first.time_secs);
+            self.recalibrated =
+                nearest.and_then(|near| by.plausible_white(&first.depth_m(), near.prediction));
         }
         self.multipath = Some(by);
     }
@@ -268,9 +275,10 @@ impl DepthCorrection {
         let predicted = self.multipath.as_ref().zip(self.prediction_near(time_secs));
         let depth = predicted.map_or_else(
             || depth_m.clone(),
-            |(multipath, prediction)| {
-                let bias = bias_on(model, multipath, depth_m, prediction, world_from_camera);
-                let raw = multipath.corrected(depth_m, &prediction.bias, self.live, None);
+            |(multipath, nearest)| {
+                let bias = bias_on(model, multipath, depth_m, &nearest, world_from_camera);
+                let live = &nearest.prediction.bias;
+                let raw = multipath.corrected(depth_m, live, self.live, None);
                 multipath.corrected(&raw, &bias, None, known.white)
             },
         );
@@ -281,13 +289,16 @@ impl DepthCorrection {
     }
 
     /// The prediction nearest in time.
-    fn prediction_near(&self, time_secs: f64) -> Option<&Prediction> {
+    fn prediction_near(&self, time_secs: f64) -> Option<Nearest<'_>> {
         let time = nanos(time_secs);
         let before = self.predictions.range(..=time).next_back();
         let after = self.predictions.range(time..).next();
         let both = before.into_iter().chain(after);
         let nearest = both.min_by_key(|(other, _)| (**other - time).abs());
-        nearest.map(|(_, prediction)| prediction)
+        nearest.map(|(&other, prediction)| Nearest {
+            prediction,
+            is_its_own: other == time,
+        })
     }
 
     /// The sensor's slow error that the frames of a scan still show.
@@ -314,9 +325,9 @@ impl DepthCorrection {
             .iter()
             .step_by(every)
             .filter_map(|frame| {
-                let prediction = self.prediction_near(frame.time_secs)?;
+                let nearest = self.prediction_near(frame.time_secs)?;
                 let (depth, pose) = (frame.depth_m(), &frame.world_from_camera);
-                let bias = bias_on(fusion, multipath, &depth, prediction, pose);
+                let bias = bias_on(fusion, multipath, &depth, &nearest, pose);
                 let bias = multipath.by_patches(&bias);
                 Some((depth, pose, bias))
             })
@@ -430,16 +441,21 @@ fn bias_on(
     model: &Fusion,
     multipath: &Multipath,
     depth_m: &Image<f32>,
-    prediction: &Prediction,
+    nearest: &Nearest,
     world_from_camera: &Pose,
 ) -> RangeBias {
+    let Nearest {
+        prediction,
+        is_its_own,
+    } = *nearest;
     let to_camera = world_from_camera.rotation.inverse();
-    multipath.predict_on(depth_m, prediction, |point| {
+    multipath.predict_on(depth_m, prediction, is_its_own, |point| {
         let measured = world_from_camera * point;
         let (distance, gradient) = model.signed_distance(&measured)?;
         // On the surface itself, for noise lifts points off it.
         let on_surface = model.signed_distance(&(measured - distance * gradient));
-        Some(to_camera * on_surface.map_or(gradient, |(_, gradient)| gradient))
+        let gradient = on_surface.map_or(gradient, |(_, gradient)| gradient);
+        Some(to_camera * gradient)
     })
 }
 
