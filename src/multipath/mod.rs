@@ -84,9 +84,9 @@ impl Multipath {
     }
 
     /// Predicts the multipath of a frame once more, and four times as finely, where the surface is known: `gradient_at` gives that
-    /// of its signed distance near a point, both in the camera frame, `depth_m` is the frame's depth (m) and `prediction` what it told by itself, or
-    /// what one near it did. A frame's own image says, by how bright places are among their neighbours, how slanting they are where the
-    /// model's normals do not.
+    /// of its signed distance near a point, both in the camera frame, `depth_m` is the frame's depth (m), and `prediction` what the
+    /// frame told by itself (`is_its_own`) or one near it did. A frame's own image says, by how bright places are among their
+    /// neighbours, how slanting they are where the model's normals do not.
     pub fn predict_on(
         &self,
         depth_m: &Image<f32>,
