@@ -131,6 +131,20 @@ impl Scene {
     }
 }
 
+/// Normals of the ball and the table near points of the camera frame.
+fn true_normals(world_from_camera: &Pose) -> impl Fn(&Point3<f64>) -> Option<Vector3<f64>> + Sync {
+    let pose = *world_from_camera;
+    move |point| {
+        let ball = pose * point - Point3::new(0.0, 0.0, RADIUS_M);
+        let normal = if ball.norm() < 1.05 * RADIUS_M {
+            unit(ball)
+        } else {
+            Vector3::z()
+        };
+        Some(pose.rotation.inverse() * normal)
+    }
+}
+
 /// Depth and normal of the ball or the table along a ray.
 fn hit(eye: &Vector3<f64>, direction: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
     let centre = Vector3::new(0.0, 0.0, RADIUS_M);
@@ -202,15 +216,7 @@ fn on_a_known_surface_the_slanting_side_of_a_ball_is_predicted_as_by_dense_patch
         .collect();
     let dense = Sources::new(table.iter());
 
-    let on_model = multipath.predict_on(depth, &prediction, true, |point| {
-        let ball = pose * point - Point3::new(0.0, 0.0, RADIUS_M);
-        let normal = if ball.norm() < 1.05 * RADIUS_M {
-            unit(ball)
-        } else {
-            Vector3::z()
-        };
-        Some(to_camera * normal)
-    });
+    let on_model = multipath.predict_on(depth, &prediction, true, true_normals(&pose));
     let rays = RayGrid::new(distorted_camera());
     let longer = [&prediction.bias, &on_model]
         .map(|bias| multipath.corrected(depth, bias, Some(WHITE), None));
@@ -269,16 +275,8 @@ fn a_place_that_is_darker_than_the_model_makes_it_has_more_bias_if_its_own_image
     *ir = Image::from_vec(512, 424, counts.collect());
     let depth = frame.depth.as_ref().expect("given");
     let prediction = multipath.predict(&frame).expect("much is seen");
-    let normal_at = |point: &Point3<f64>| {
-        let ball = pose * point - Point3::new(0.0, 0.0, RADIUS_M);
-        let normal = if ball.norm() < 1.05 * RADIUS_M {
-            unit(ball)
-        } else {
-            Vector3::z()
-        };
-        Some(pose.rotation.inverse() * normal)
-    };
-    let bias = |is_its_own| multipath.predict_on(depth, &prediction, is_its_own, normal_at);
+    let normal_at = true_normals(&pose);
+    let bias = |is_its_own| multipath.predict_on(depth, &prediction, is_its_own, &normal_at);
     let cell = bias(true).cells().cell_of((u, v)).expect("on the image");
     let [own, other] = [true, false].map(|is_its_own| {
         let bias = bias(is_its_own);
@@ -373,18 +371,21 @@ fn a_prediction_by_a_wrong_response_becomes_that_of_the_right_one() {
     let expected = right.predict(&frame).expect("it shows light");
     let mut prediction = wrong.predict(&frame).expect("it shows light");
     wrong.recalibrate(&mut prediction, &right);
-    let pairs = prediction
-        .radiances
-        .patches
-        .iter()
-        .zip(&expected.radiances.patches);
-    let bright = pairs.filter(|(_, expected)| **expected > 0.02);
-    let mut errors: Vec<f64> = bright
-        .map(|(a, b)| f64::from((a / b - 1.0).abs()))
-        .collect();
-    assert!(errors.len() > 100);
-    // Patches that hold a border of the ball are off by more.
-    assert!(crate::shading::median(&mut errors) < Some(1e-3));
+    let (found, right_ones) = (&prediction.radiances, &expected.radiances);
+    for (found, expected) in [
+        (&found.patches, &right_ones.patches),
+        (&found.places, &right_ones.places),
+    ] {
+        assert_eq!(found.len(), expected.len());
+        let pairs = found.iter().zip(expected);
+        let bright = pairs.filter(|(_, expected)| **expected > 0.02);
+        let mut errors: Vec<f64> = bright
+            .map(|(a, b)| f64::from((a / b - 1.0).abs()))
+            .collect();
+        assert!(errors.len() > 100);
+        // What holds a border of the ball is off by more.
+        assert!(crate::shading::median(&mut errors) < Some(1e-3));
+    }
     let depth = frame.depth.as_ref().expect("given");
     let WhiteLevel(white) = right.plausible_white(depth, &prediction).expect("seen");
     assert!((white / expected.plausible_white.0 - 1.0).abs() < 0.01);
