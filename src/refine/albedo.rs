@@ -4,7 +4,7 @@
 //! by grazing samples. Groups are the components of a mixture of Gaussians on log albedo whose number the Bayesian information
 //! criterion chooses, or the paper's clusters; sites are given to them by Eq. (4), neighbours together, by expansion moves.
 //! This is where a round begins: `minimise` then moves the groups' albedos together with the surface. Within a group albedo may
-//! change slowly, as the base surface tells it (`tint`).
+//! differ from site to site (`tint`).
 
 use super::clusters::Clusters;
 use super::expansion::Labelling;
@@ -15,7 +15,6 @@ use super::neighbourhood::Neighbourhood;
 use super::observations::Observations;
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
-use super::tint::tints;
 use crate::geometry::TriMesh;
 use crate::shading::{Gloss, Tukey, median_absolute_deviation};
 use rayon::prelude::*;
@@ -38,7 +37,7 @@ pub enum AlbedoMode {
 pub struct AlbedoParams {
     /// How sites are put into groups.
     pub mode: AlbedoMode,
-    /// Whether albedo may change slowly within a group; never in the paper's mode.
+    /// Whether albedo may differ from site to site within a group; never in the paper's mode.
     pub tints: bool,
 }
 
@@ -70,7 +69,7 @@ pub type Ratio = (f64, f64);
 pub struct Albedo {
     /// Albedo of each site: that of its group times its tint.
     pub by_site: Vec<f64>,
-    /// By which factor each site differs from its group; it changes slowly over the surface.
+    /// By which factor each site differs from its group.
     pub tints: Vec<f64>,
     /// Group of each site.
     pub labels: Vec<u8>,
@@ -84,7 +83,7 @@ pub struct Albedo {
 
 /// Standard deviation of a site's own log albedo that its noisy normal makes, at least.
 const MIN_LOG_SIGMA: f64 = 0.06;
-/// Groups whose logarithms of albedo differ by less are one: what changes slowly by less is told as tints. A site keeps its tint
+/// Groups whose logarithms of albedo differ by less are one: what differs by less is told as tints. A site keeps its tint
 /// while that of its group changes by less.
 const SAME_GROUP: f64 = 0.1;
 
@@ -170,11 +169,13 @@ impl Albedo {
         })
     }
 
-    /// The same groups with what changes slowly within them, as the sites of the base surface tell it.
-    pub fn with_tints(self, sites: &Sites, observations: &Observations, loss: Tukey) -> Albedo {
-        let ratios = ratios(sites, observations, Some((&self, loss)));
-        let tints = tints(sites, &self.labels, &self.groups, &ratios);
-        self.tinted(tints, &ratios)
+    /// The same groups with other tints.
+    pub fn with_tints(self, tints: Vec<f64>) -> Albedo {
+        Albedo {
+            by_site: by_site(&self.groups, &self.labels, &tints),
+            tints,
+            ..self
+        }
     }
 
     /// The tints of those sites that stay in a group of the same albedo.

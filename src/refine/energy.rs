@@ -11,6 +11,7 @@ use super::observations::{Observation, Observations};
 use super::patches::Patch;
 use super::priors::PriorWeights;
 use super::sites::SiteKind;
+use super::tint::Tint;
 use super::vertex_system::VertexSystem;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
@@ -36,8 +37,10 @@ pub struct Problem<'a> {
     pub observations: &'a Observations,
     /// Group of albedo of each site.
     pub labels: &'a [u8],
-    /// By which factor the albedo of each site differs from its group's.
+    /// By which factor the albedo of each site differs from its group's, or is first thought to.
     pub tints: &'a [f64],
+    /// Whether tints follow the surface, each at its best value.
+    pub finds_tints: bool,
     /// Scale of the residuals in sigmas, and the Tukey cut-off in that scale.
     pub loss: Tukey,
     /// Priors.
@@ -116,6 +119,8 @@ pub struct Site {
     /// Albedo.
     pub albedo: f64,
     moved_m: f64,
+    /// Its tint, where that follows the surface.
+    tint: Option<Tint>,
 }
 
 /// Unit normals of a surface's sites.
@@ -173,16 +178,35 @@ impl Problem<'_> {
         index: usize,
         normal: Vector3<f64>,
     ) -> Site {
+        let (group, start) = (albedos[self.labels[index] as usize], self.tints[index]);
+        let moved_m = self.observations.moved_m(surface, index);
+        let seen = self.observations.of(index);
+        let find = || Tint::of_least_energy(seen, (&normal, moved_m), group, self.loss, start);
+        let tint = self.finds_tints.then(find).flatten();
         Site {
             index,
             normal,
-            albedo: albedos[self.labels[index] as usize] * self.tints[index],
-            moved_m: self.observations.moved_m(surface, index),
+            albedo: group * tint.map_or(start, |tint| tint.factor),
+            moved_m,
+            tint,
         }
     }
 
+    /// Tints of all sites as the surface has them.
+    pub fn found_tints(&self, surface: &Surface, albedos: &[f64]) -> Vec<f64> {
+        let normals = self.normals(&surface.mesh);
+        let found = |index: usize| {
+            let normal = normals.unit(index)?;
+            let tint = self.site(surface, albedos, index, normal).tint?;
+            Some(tint.factor)
+        };
+        let tints =
+            in_tiles(self.labels.len()).map(|index| found(index).unwrap_or(self.tints[index]));
+        tints.collect()
+    }
+
     fn energy_of(&self, site: &Site) -> f64 {
-        let mut energy = 0.0;
+        let mut energy = site.tint.map_or(0.0, |tint| tint.energy());
         for seen in self.observations.of(site.index) {
             let moved = seen.moved(site.moved_m);
             if let Some(residual) = moved.residual(&site.normal, site.albedo) {
@@ -306,7 +330,10 @@ impl Problem<'_> {
             *diagonal += weight * by_log_albedo * by_log_albedo;
             *gradient += weight * by_log_albedo * residual;
         }
-        block
+        match &site.tint {
+            Some(tint) => block.with_tint_following(tint),
+            None => block,
+        }
     }
 }
 

@@ -107,8 +107,9 @@ impl Moved<'_> {
         Some(self.observed() - albedo * self.unit_prediction(normal)?)
     }
 
+    /// Prediction for unit albedo, in sigmas; `None` where the surface faces away from the light.
     #[inline]
-    fn unit_prediction(&self, normal: &Vector3<f64>) -> Option<f64> {
+    pub fn unit_prediction(&self, normal: &Vector3<f64>) -> Option<f64> {
         let unit = self.seen.light().dot(normal) + f64::from(self.seen.light_slope) * self.by_m;
         (unit > 0.0).then_some(unit)
     }

@@ -148,14 +148,14 @@ impl Preparation {
     ) -> Result<(State, Vec<ViewError>), RefineError> {
         let (mesh, views, sites) = (&self.levels[0].mesh, &self.views, &self.base_sites);
         let learnt = sites.only(learning);
-        let albedo = self.rounds(0).first_albedo(&learnt, views);
-        let mut albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
-        let errors = sites.view_errors(views, &albedo.by_site);
         let surface = Surface {
             directions: mesh.vertex_normals(),
             total_m: vec![0.0; mesh.vertices.len()],
             mesh: mesh.clone(),
         };
+        let albedo = self.rounds(0).first_albedo(&surface, &learnt, views);
+        let mut albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
+        let errors = sites.view_errors(views, &albedo.by_site);
         let gloss = self.gloss_of_materials(&albedo, subject.optics, learning);
         albedo.gloss = gloss.unwrap_or_else(|| vec![self.told.gloss; albedo.groups.len()]);
         let state = State {

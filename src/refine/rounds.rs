@@ -59,7 +59,7 @@ pub fn final_loss(scale: f64) -> Tukey {
 
 impl Rounds<'_> {
     /// The albedo of the base surface, robust to what the base gets wrong. `None` where nobody sees anything.
-    pub fn first_albedo(&self, sites: &Sites, views: &[View]) -> Option<Albedo> {
+    pub fn first_albedo(&self, surface: &Surface, sites: &Sites, views: &[View]) -> Option<Albedo> {
         let observations = Observations::new(sites, views, None, None);
         let mut albedo = self.estimate_albedo(sites, &observations, None)?;
         for _ in 0..3 {
@@ -67,15 +67,21 @@ impl Rounds<'_> {
             let current = Some((&albedo, loss));
             albedo = self.estimate_albedo(sites, &observations, current)?;
         }
-        let AlbedoParams { mode, tints } = self.params.albedo;
-        if tints && mode == AlbedoMode::Mixture {
-            // What is stained is an outlier at first.
+        if self.finds_tints() {
+            // What is printed is an outlier at first.
             for _ in 0..3 {
                 let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
-                albedo = albedo.with_tints(sites, &observations, loss);
+                let problem = self.problem(&observations, &albedo, loss);
+                let tints = problem.found_tints(surface, &albedo.groups);
+                albedo = albedo.with_tints(tints);
             }
         }
         Some(albedo)
+    }
+
+    fn finds_tints(&self) -> bool {
+        let AlbedoParams { mode, tints } = self.params.albedo;
+        tints && mode == AlbedoMode::Mixture
     }
 
     /// Groups and albedos of a surface; `current` gives the residuals whose outliers do not count.
@@ -153,7 +159,13 @@ impl Rounds<'_> {
             &solver,
             |iteration| accepted(Iteration { round, ..iteration }),
         );
+        let tints = problem
+            .finds_tints
+            .then(|| problem.found_tints(surface, &groups));
         albedo.repaint(groups);
+        if let Some(tints) = tints {
+            *albedo = albedo.clone().with_tints(tints);
+        }
         status
     }
 
@@ -266,6 +278,7 @@ impl<'a> Rounds<'a> {
             observations,
             labels: &albedo.labels,
             tints: &albedo.tints,
+            finds_tints: self.finds_tints(),
             loss,
             priors: self.prior_weights(),
             edges: &self.level.edges,

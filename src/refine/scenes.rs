@@ -116,6 +116,26 @@ impl RippledPlane {
         }
     }
 
+    /// Multiplies the plane's albedo by a factor that depends on the place.
+    pub fn paint(
+        snapshot: &mut ShadingSnapshot,
+        optics: &Optics,
+        factor: impl Fn(f64, f64) -> f64,
+    ) {
+        let pixels = snapshot.ir_counts.data_mut().iter_mut();
+        let seen = optics
+            .rays
+            .rays()
+            .data()
+            .iter()
+            .zip(snapshot.depth_m.data());
+        for (counts, ([x, y], depth)) in pixels.zip(seen) {
+            let seen = (Point3::new(*x, *y, 1.0) * *depth).cast::<f64>();
+            let place = snapshot.world_from_camera * seen;
+            *counts *= factor(place.x, place.y).powf(optics.calibration.gamma) as f32;
+        }
+    }
+
     /// Depth and counts along a ray.
     fn render(&self, x: f64, y: f64, optics: &Optics, world_from_camera: &Pose) -> (f64, f64) {
         let direction = world_from_camera.rotation * Vector3::new(x, y, 1.0);
@@ -266,6 +286,7 @@ pub fn with_problem<T>(
         observations: &Observations::new(&sites, &views, motion, None),
         labels: &vec![0; sites.points.len()],
         tints: &vec![1.0; sites.points.len()],
+        finds_tints: false,
         sites: params.sites,
         loss: final_loss(3.0),
         priors: prior_weights(params, params.edge_length_m),

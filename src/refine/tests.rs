@@ -48,13 +48,15 @@ fn shaken(surface: &Surface, amplitude_m: f64) -> Surface {
 
 #[test]
 fn gradient_matches_central_differences_of_the_energy() {
-    for linearisation in [Linearisation::Full, Linearisation::Detail] {
-        check_gradient(linearisation, SiteKind::Face);
+    for finds_tints in [false, true] {
+        for linearisation in [Linearisation::Full, Linearisation::Detail] {
+            check_gradient(linearisation, SiteKind::Face, finds_tints);
+        }
+        check_gradient(Linearisation::Full, SiteKind::Vertex, finds_tints);
     }
-    check_gradient(Linearisation::Full, SiteKind::Vertex);
 }
 
-fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
+fn check_gradient(linearisation: Linearisation, kind: SiteKind, finds_tints: bool) {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
     let mesh = FLAT.mesh(0.004);
@@ -76,6 +78,7 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
         tints: &(0..n_sites)
             .map(|site| 1.0 + 0.1 * (0.1 * site as f64).sin())
             .collect::<Vec<_>>(),
+        finds_tints,
         loss: Tukey {
             scale: 2.0,
             cutoff: 4.685,
@@ -90,6 +93,8 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
         jacobian: JacobianMode::Analytic,
     };
     let albedos = [ALBEDO, 0.97 * ALBEDO];
+    // Tints are near their best values, at which the energy does not change with them.
+    let tolerance = if finds_tints { 0.05 } else { 1e-4 };
     let matrix = problem.linearise(&surface, &albedos, &couplings);
     let largest = matrix
         .gradient
@@ -103,8 +108,9 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
         };
         let numeric = (moved(1e-8) - moved(-1e-8)) / 2e-8;
         assert!(
-            (numeric - matrix.gradient[vertex]).abs() < 1e-4 * largest,
-            "{vertex}: {numeric}"
+            (numeric - matrix.gradient[vertex]).abs() < tolerance * largest,
+            "{vertex}: {numeric} for {}",
+            matrix.gradient[vertex]
         );
     }
     for group in 0..2 {
@@ -116,7 +122,7 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind) {
         let numeric = (changed(1e-6) - changed(-1e-6)) / 2e-6;
         let analytic = matrix.groups[group].gradient;
         assert!(
-            (numeric / analytic - 1.0).abs() < 1e-4,
+            (numeric / analytic - 1.0).abs() < tolerance,
             "{numeric} {analytic}"
         );
     }
@@ -297,12 +303,7 @@ fn dark_spots_are_no_other_material() {
         .iter()
         .map(|pose| {
             let mut snapshot = RIPPLED.snapshot(&optics, pose);
-            let pixels = snapshot.ir_counts.data_mut().iter_mut();
-            let seen = rays.rays().data().iter().zip(snapshot.depth_m.data());
-            for (counts, ([x, y], depth)) in pixels.zip(seen) {
-                let seen = pose * (Point3::new(*x, *y, 1.0) * *depth).cast::<f64>();
-                *counts *= albedo(seen.x, seen.y).powf(calibration.gamma) as f32;
-            }
+            RippledPlane::paint(&mut snapshot, &optics, albedo);
             snapshot
         })
         .collect();
@@ -326,4 +327,40 @@ fn dark_spots_are_no_other_material() {
         )
     });
     assert!(n_wrong * 200 < n, "{n_wrong} of {n} have the other's label");
+}
+
+/// Paint of four tones that are no two materials: diagonal stripes of 5 mm, crossed by others.
+fn print(x: f64, y: f64) -> f64 {
+    let stripe = |x: f64| (x / 0.005).rem_euclid(2.0) < 1.0;
+    let first = if stripe(x + y) { 0.85 } else { 1.0 };
+    first * if stripe(x - y) { 0.85 } else { 1.0 }
+}
+
+#[test]
+fn print_is_albedo_and_relief_is_found_beneath_it() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0015);
+    let printed = |pose| {
+        let mut snapshot = RIPPLED.snapshot(&optics, pose);
+        RippledPlane::paint(&mut snapshot, &optics, print);
+        snapshot
+    };
+    let snapshots: Vec<_> = poses(0.5).iter().map(printed).collect();
+    let params = RefineParams {
+        edge_length_m: 0.0015,
+        ..RefineParams::default()
+    };
+    let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| true).expect("visible");
+    let error_rad = |mesh: &TriMesh| {
+        let normals = mesh.vertex_normals();
+        let inner = mesh.vertices.iter().zip(&normals);
+        let inner = inner.filter(|(p, _)| p.x.abs() < 0.025 && p.y.abs() < 0.025);
+        let angles: Vec<f64> = inner
+            .map(|(p, normal)| normal.angle(&RIPPLED.normal(p.x, p.y)))
+            .collect();
+        angles.iter().sum::<f64>() / angles.len() as f64
+    };
+    let (before, after) = (error_rad(&base), error_rad(&refined.mesh));
+    assert!(after < 0.4 * before, "from {before} to {after} rad");
 }

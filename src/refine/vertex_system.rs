@@ -311,6 +311,7 @@ mod tests {
             observations: &Observations::new(&sites, &views, motion, None),
             labels: &vec![0; n_sites],
             tints: &vec![1.0; n_sites],
+            finds_tints: false,
             // All weights are 1, and residuals of the true surface are next to nothing.
             loss: Tukey {
                 scale: 1.0,

@@ -86,12 +86,21 @@ def slab(front, x, y, thick, albedo, tilt, lift):
     return v, f, a
 
 
-def tablet(random, stained=0.0):
+def ornament(x, y):
+    """Painted tones of a plane, -1 to 1: a grid of discs between stripes and lines, 2 to 10 mm wide."""
+    at_x, at_y = np.mod(x, 0.024) - 0.012, np.mod(y, 0.048) - 0.012
+    stripe = np.where(np.mod(y, 0.048) > 0.028, 0.6, 0.0)
+    lines = (np.abs(np.mod(y, 0.048) - 0.038) < 0.001) | (np.abs(np.mod(x + y, 0.03) - 0.015) < 0.001)
+    disc = np.clip((0.008 - np.hypot(at_x, at_y)) / 0.0004, 0, 1)
+    return np.where(lines, -1.0, stripe) * (1 - disc) + disc * np.where(np.hypot(at_x, at_y) < 0.004, 1.0, -0.6)
+
+
+def tablet(random, stained=0.0, painted=0.0):
     x, y = np.linspace(-0.075, 0.075, 420), np.linspace(-0.1, 0.1, 560)
     gx, gy = np.meshgrid(x, y)
     pillow = 0.012 * (1 - (gx / 0.085) ** 4) * (1 - (gy / 0.115) ** 4)
     stain = gaussian_filter(random.normal(size=gx.shape), 60)
-    albedo = 0.55 * (1 + stained * stain / np.abs(stain).max())
+    albedo = 0.55 * (1 + stained * stain / np.abs(stain).max()) * np.exp(painted * ornament(gx, gy))
     crack = 0.001 * np.exp(-((gx - 0.02 * np.sin(gy * 40) - 0.02) / 0.0008) ** 2)
     return slab(pillow - wedges(gx, gy, random, 0.016) - crack, x, y, 0.025, albedo, 65, 0.0), "front"
 
@@ -148,7 +157,14 @@ def figure(random):
     return merged([body, head, *arms]), "round"
 
 
-OBJECTS = {"vase": vase, "tablet": tablet, "stained": lambda random: tablet(random, 0.12), "gear": gear, "figure": figure}
+OBJECTS = {
+    "vase": vase,
+    "tablet": tablet,
+    "stained": lambda random: tablet(random, stained=0.12),
+    "painted": lambda random: tablet(random, painted=0.35),
+    "gear": gear,
+    "figure": figure,
+}
 
 
 def box(centre, size, turn, albedo):

@@ -5,7 +5,7 @@
                      [--seed S]
 
 Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pressed into clay, from the front), `stained` (the
-same, of an albedo that changes slowly), `gear` (sharp
+same, of an albedo that changes slowly), `painted` (the same, with an ornament), `gear` (sharp
 teeth, letters cut into the top, from above), `figure` (folds, thin arms, all round). They stand on a grey table among boxes.
 
 Light that goes over one other surface is in the images: rays on the true surface, over four points of a pixel.
