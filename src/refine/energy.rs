@@ -1,5 +1,5 @@
-//! The energy of Eq. (5): data term Eq. (6) at all sites over all views, smoothness Eq. (7) and anchor Eq. (8) on the
-//! total displacement; its value, and its normal equations by the displacements along fixed directions.
+//! The energy of Eq. (5): data term Eq. (6) at all sites over all views, with what holds their tints, smoothness Eq. (7) and anchor
+//! Eq. (8) on the total displacement; its value, and its normal equations by the displacements along fixed directions.
 //!
 //! A face site has the facet's own normal, so that each residual touches three displacements: `∂N/∂δ_a = m_a × (b − c)`
 //! for `N = (b − a) × (c − a)`, and `∂n = (I − n nᵀ)/|N| ∂N`. All views of a site share that pattern and are summed into
@@ -181,7 +181,7 @@ impl Problem<'_> {
         let (group, start) = (albedos[self.labels[index] as usize], self.tints[index]);
         let moved_m = self.observations.moved_m(surface, index);
         let seen = self.observations.of(index);
-        let find = || Tint::of_least_energy(seen, (&normal, moved_m), group, self.loss, start);
+        let find = || Tint::best(seen, (&normal, moved_m), group, self.loss, start);
         let tint = self.finds_tints.then(find).flatten();
         Site {
             index,

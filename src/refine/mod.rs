@@ -160,7 +160,8 @@ pub fn refine(
     let prepared = Preparation::new(subject, params)?;
     let n_views = subject.snapshots.len();
     let (all, held_out) = (first_views(n_views), views_to_hold_out(n_views));
-    let (base, errors_before) = prepared.base(subject, all & !held_out)?;
+    let learning = all & !held_out;
+    let (base, errors_before) = prepared.base(subject, learning)?;
     let mut state = base.clone();
     let mut iterations = Vec::new();
     let mut accepted = |iteration| {
@@ -168,8 +169,8 @@ pub fn refine(
         progress(&iteration)
     };
     let first = 0..params.n_rounds;
-    let mut status = prepared.run(first, all & !held_out, &mut state, &mut accepted);
-    let judgement = Judgement::of(&prepared.judge(base, &mut state, held_out));
+    let mut status = prepared.run(first, learning, &mut state, &mut accepted);
+    let judgement = Judgement::of(&prepared.judge(base, &mut state, learning, held_out));
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));
     }

@@ -6,6 +6,7 @@ use super::energy::Surface;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
 use super::held_out::{JudgedView, judge};
 use super::level::{Level, levels};
+use super::observations::Observations;
 use super::optics::Optics;
 use super::params::RefineParams;
 use super::rounds::{Rounds, State, centre_of, radius_about};
@@ -212,7 +213,7 @@ impl Preparation {
             &mut state,
             &mut |_| true,
         );
-        Ok(self.judge(base, &mut state, judges))
+        Ok(self.judge(base, &mut state, learning, judges))
     }
 
     /// Runs rounds with a set of views, from a state of the first one's level to the finest; the other views are left as they are.
@@ -246,10 +247,26 @@ impl Preparation {
         status
     }
 
-    /// Lets a set of views judge the base state and a refined one of the finest level; they are left aligned with the refined surface.
-    pub fn judge(&self, mut base: State, refined: &mut State, judges: ViewSet) -> Vec<JudgedView> {
+    /// Lets a set of views judge the base state and a refined one of the finest level, both learnt from another set; they are left
+    /// aligned with the refined surface. What is printed is known of both surfaces alike.
+    pub fn judge(
+        &self,
+        mut base: State,
+        refined: &mut State,
+        learning: ViewSet,
+        judges: ViewSet,
+    ) -> Vec<JudgedView> {
         self.prolong(&mut base, 0, self.levels.len() - 1);
-        judge(&self.finest(), &base, refined, judges)
+        let rounds = self.finest();
+        if rounds.finds_tints() {
+            let State {
+                surface, albedo, ..
+            } = &base;
+            let sites = rounds.sites(&surface.mesh, &refined.views, learning, albedo);
+            let observations = Observations::new(&sites, &refined.views, None, None);
+            base.albedo = rounds.tinted(surface, &sites, &observations, albedo.clone());
+        }
+        judge(&rounds, &base, refined, judges)
     }
 
     /// Mean of the object's vertices as they were fused, world frame.

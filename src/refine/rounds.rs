@@ -67,19 +67,30 @@ impl Rounds<'_> {
             let current = Some((&albedo, loss));
             albedo = self.estimate_albedo(sites, &observations, current)?;
         }
-        if self.finds_tints() {
-            // What is printed is an outlier at first.
-            for _ in 0..3 {
-                let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
-                let problem = self.problem(&observations, &albedo, loss);
-                let tints = problem.found_tints(surface, &albedo.groups);
-                albedo = albedo.with_tints(tints);
-            }
-        }
-        Some(albedo)
+        Some(self.tinted(surface, sites, &observations, albedo))
     }
 
-    fn finds_tints(&self) -> bool {
+    /// The same groups with the tints that a surface has by what its sites are seen to show.
+    pub fn tinted(
+        &self,
+        surface: &Surface,
+        sites: &Sites,
+        observations: &Observations,
+        mut albedo: Albedo,
+    ) -> Albedo {
+        // What is printed is an outlier at first.
+        let n_times = if self.finds_tints() { 3 } else { 0 };
+        for _ in 0..n_times {
+            let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
+            let problem = self.problem(observations, &albedo, loss);
+            let tints = problem.found_tints(surface, &albedo.groups);
+            albedo = albedo.with_tints(tints);
+        }
+        albedo
+    }
+
+    /// Whether tints follow the surface.
+    pub fn finds_tints(&self) -> bool {
         let AlbedoParams { mode, tints } = self.params.albedo;
         tints && mode == AlbedoMode::Mixture
     }

@@ -210,7 +210,7 @@ impl AlignedView {
     }
 }
 
-/// One Gauss-Newton step of Eq. (5) as a linear least-squares problem: unknown are the displacements of the vertices (m) and,
+/// One Gauss-Newton step of Eq. (5) as a linear least-squares problem, tints taken out: unknown are the displacements of the vertices (m) and,
 /// behind them, the logarithms of the groups' albedos.
 #[derive(Clone, Debug, Serialize)]
 pub struct LeastSquares {

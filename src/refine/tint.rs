@@ -27,57 +27,72 @@ pub struct Tint {
 const SIGMA: f64 = 0.08;
 /// Tints are held as if by a Cauchy distribution of this scale: what differs by more is another paint.
 const PAINT: f64 = 0.07;
-/// A site that fewer views see keeps its tint: one view cannot tell albedo from shape.
+/// A site that fewer views see keeps its tint: they are explained by a slope as well.
 const MIN_VIEWS: usize = 3;
-/// Steps of iteratively reweighted least squares.
+/// How often residuals are weighted anew, and what holds the tint after each time.
 const ITERATIONS: usize = 2;
+const STEPS: usize = 4;
 /// No site is darker or brighter than its group by more than this factor.
 const MAX_FACTOR: f64 = 5.0;
 
+/// What one view shows of a site, and what it would show with a tint of 1.
+#[derive(Clone, Copy, Default)]
+struct Shown {
+    observed: f64,
+    predicted: f64,
+    covered: f64,
+}
+
 impl Tint {
-    /// That for which the energy of a site is least, if views enough see it: with its unit normal, moved by so many metres, and of a
-    /// group of this albedo. `start` is the factor that residuals are first weighted by.
-    pub fn of_least_energy(
+    /// That for which the energy of a site is about least, if views enough see it: with its unit normal, moved by so many metres, and
+    /// of a group of this albedo. `start` is the factor that residuals are first weighted by.
+    pub fn best(
         seen: &[Observation],
         (normal, moved_m): (&Vector3<f64>, f64),
         group: f64,
         loss: Tukey,
         start: f64,
     ) -> Option<Tint> {
-        let mut shown = [(0.0, 0.0, 0.0); MAX_VIEWS];
-        let (mut n_views, mut n_told) = (0, 0.0);
-        for seen in seen {
-            let moved = seen.moved(moved_m);
-            if let Some(predicted) = moved.unit_prediction(normal) {
-                let covered = f64::from(seen.covered);
-                shown[n_views] = (moved.observed(), group * predicted, covered);
-                n_views += 1;
-                n_told += covered;
-            }
-        }
-        if n_views < MIN_VIEWS {
+        if seen.len() < MIN_VIEWS {
             return None;
         }
+        let mut shown = [Shown::default(); MAX_VIEWS];
+        let mut n_shown = 0;
+        for view in seen {
+            let moved = view.moved(moved_m);
+            if let Some(unit) = moved.unit_prediction(normal) {
+                shown[n_shown] = Shown {
+                    observed: moved.observed(),
+                    predicted: group * unit,
+                    covered: f64::from(view.covered),
+                };
+                n_shown += 1;
+            }
+        }
+        let shown = &shown[..n_shown];
         let mut tint = Tint {
             factor: start,
-            n_told,
+            n_told: seen.iter().map(|view| f64::from(view.covered)).sum(),
         };
         for iteration in 0..ITERATIONS {
-            let (mut n, mut d) = (0.0, 0.0);
-            for &(observed, predicted, covered) in &shown[..n_views] {
-                let weight = loss.weight(observed - tint.factor * predicted) * covered;
-                n += weight * predicted * observed;
-                d += weight * predicted * predicted;
+            let residual = |view: &Shown| view.observed - tint.factor * view.predicted;
+            let (mut n, mut d) = sums(shown, |view| loss.weight(residual(view)));
+            if iteration == 0 {
+                if d <= 0.0 {
+                    // All of them are outliers to what it was thought to be.
+                    (n, d) = sums(shown, |_| loss.weight(0.0));
+                }
+                // What is printed is not held back by that either.
+                tint.factor = n / d;
             }
             if d <= 0.0 {
                 return None;
             }
-            if iteration == 0 {
-                // What is printed is not held back by what it was thought to be before.
-                tint.factor = n / d;
+            for _ in 0..STEPS {
+                let held = tint.held();
+                let factor = (n + held) / (d + held);
+                tint.factor = factor.clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
             }
-            let held = tint.held();
-            tint.factor = ((n + held) / (d + held)).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
         }
         Some(tint)
     }
@@ -93,6 +108,17 @@ impl Tint {
         let apart = (self.factor - 1.0) / PAINT;
         self.n_told / (SIGMA * SIGMA * (1.0 + apart * apart))
     }
+}
+
+/// Numerator and denominator of the tint that weighted views tell.
+fn sums(shown: &[Shown], weight: impl Fn(&Shown) -> f64) -> (f64, f64) {
+    shown.iter().fold((0.0, 0.0), |(n, d), view| {
+        let by_predicted = weight(view) * view.covered * view.predicted;
+        (
+            n + by_predicted * view.observed,
+            d + by_predicted * view.predicted,
+        )
+    })
 }
 
 impl<const N: usize> Block<N> {

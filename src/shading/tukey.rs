@@ -11,15 +11,24 @@ pub struct Tukey {
 
 impl Tukey {
     /// Loss of a residual: `c²/6 · (1 − (1 − (r/c)²)³)`, in squared scales.
+    #[inline]
     pub fn loss(&self, residual: f64) -> f64 {
-        let t = 1.0 - (residual / (self.scale * self.cutoff)).powi(2);
-        self.cutoff * self.cutoff / 6.0 * (1.0 - t.max(0.0).powi(3))
+        let t = self.within(residual);
+        self.cutoff * self.cutoff / 6.0 * (1.0 - t * t * t)
     }
 
     /// Weight of a squared residual in scales: `(1 − (r/c)²)²`, over the squared scale.
+    #[inline]
     pub fn weight(&self, residual: f64) -> f64 {
-        let t = (1.0 - (residual / (self.scale * self.cutoff)).powi(2)).max(0.0);
-        t * t / (self.scale * self.scale)
+        let t = self.within(residual) * (1.0 / self.scale);
+        t * t
+    }
+
+    /// `1 − (r/c)²`, 0 beyond the cut-off. Reciprocals are taken once where many residuals have one loss.
+    #[inline]
+    fn within(&self, residual: f64) -> f64 {
+        let share = residual * (1.0 / (self.scale * self.cutoff));
+        (1.0 - share * share).max(0.0)
     }
 }
 
