@@ -283,7 +283,12 @@ mod tests {
 
     #[test]
     fn the_matrix_is_the_gradients_derivative_and_its_bound_is_no_less() {
-        check(HIDDEN.mesh(0.002), 0.05);
+        check(HIDDEN.mesh(0.002), 0.05, false);
+    }
+
+    #[test]
+    fn so_they_are_where_tints_follow_the_surface() {
+        check(HIDDEN.mesh(0.002), 0.05, true);
     }
 
     #[test]
@@ -292,11 +297,11 @@ mod tests {
         let [a, b, _] = mesh.faces[mesh.faces.len() / 2];
         mesh.vertices[b as usize] = mesh.vertices[a as usize];
         // That the normals of so uneven faces are not the surface's leaves residuals.
-        check(mesh, 0.2);
+        check(mesh, 0.2, false);
     }
 
     /// Compares the matrix with differences of the gradient, to a share of it, and with its bound.
-    fn check(mesh: TriMesh, tolerance: f64) {
+    fn check(mesh: TriMesh, tolerance: f64, finds_tints: bool) {
         let (rays, calibration) = (rays(), calibration());
         let optics = optics(&rays, &calibration);
         let views = views(&HIDDEN, &mesh, &optics, &poses(0.5));
@@ -311,7 +316,7 @@ mod tests {
             observations: &Observations::new(&sites, &views, motion, None),
             labels: &vec![0; n_sites],
             tints: &vec![1.0; n_sites],
-            finds_tints: false,
+            finds_tints,
             // All weights are 1, and residuals of the true surface are next to nothing.
             loss: Tukey {
                 scale: 1.0,
