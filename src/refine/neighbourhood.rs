@@ -25,8 +25,8 @@ impl Neighbourhood {
                 n_correlated: 50.0,
                 max_fold_cosine: 0.7,
             },
-            // Half as many on the same surface, of which a border parts twice as many pairs, each cheaper; what is painted finely is left to
-            // tints. The normal of one in a fold is half turned, 23°.
+            // Half as many on the same surface, of which a border parts twice as many pairs, so that each costs less; what is painted
+            // too finely for that is left to tints. The normal of one in a fold is half turned, 23°.
             SiteKind::Vertex => Neighbourhood {
                 potts: 1.0,
                 n_correlated: 25.0,
