@@ -8,21 +8,9 @@ use freenect1::{
     streams::{ProjectorState, Streams},
 };
 
-use crate::support::{SECOND, assert_bit_exact, next_whole, on_stand_in, trace};
-
-/// The first frame that satisfies, of the next ones.
-fn next_that(
-    camera: &mut Freenect1Camera,
-    satisfies: impl Fn(&freenect1::assembly::RawFrame) -> bool,
-) -> freenect1::assembly::RawFrame {
-    for _ in 0..30 {
-        let frame = next_whole(camera);
-        if satisfies(&frame) {
-            return frame;
-        }
-    }
-    panic!("no such frame among 30");
-}
+use crate::support::{
+    SECOND, assert_bit_exact, next_pair, next_that, next_whole, on_stand_in, trace,
+};
 
 /// The sequence of a shading image without a shutter: depth stops, IR goes on with its clock standing still, depth comes back.
 #[test]
@@ -54,9 +42,7 @@ fn depth_stops_while_infrared_goes_on() {
             }
             control.set_streams(Streams::DepthAndIr).unwrap();
             // IR goes on with the same frames, so that pairs must still be of one frame: `assert_bit_exact` looks.
-            let back = next_that(&mut camera, |frame| {
-                frame.disparity.is_some() && frame.ir.is_some()
-            });
+            let back = next_pair(&mut camera);
             assert_bit_exact(&back);
             assert!(back.device_time_secs > newest.device_time_secs);
             for _ in 0..20 {
@@ -89,9 +75,7 @@ fn infrared_at_full_size_and_back() {
             }
             assert!(start.elapsed() > SECOND / 2, "it has 10 frames a second");
             control.set_streams(Streams::DepthAndIr).unwrap();
-            let both = next_that(&mut camera, |frame| {
-                frame.disparity.is_some() && frame.ir.is_some()
-            });
+            let both = next_pair(&mut camera);
             assert_bit_exact(&both);
         }
         control.set_streams(Streams::Depth).unwrap();

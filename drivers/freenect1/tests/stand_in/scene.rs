@@ -6,7 +6,7 @@ use depth_camera::{DepthCamera, Frame};
 use freenect1::{Freenect1Camera, Settings, disparity::ZeroPlane};
 use simulated::SimulatedCamera;
 
-use crate::support::{SECOND, file, next_decoded, on_stand_in};
+use crate::support::{SECOND, file, next_decoded_pair, on_stand_in};
 
 const N_FRAMES: usize = 3;
 
@@ -52,7 +52,7 @@ fn a_simulated_session_comes_out_as_it_was_taken() {
             let mut seen = [false; N_FRAMES];
             let mut n_measured = 0;
             for _ in 0..30 {
-                let frame = next_decoded(&mut camera);
+                let frame = next_decoded_pair(&mut camera);
                 let (depth, ir) = (frame.depth.unwrap(), frame.ir.unwrap());
                 let number = sent.iter().position(|sent| sent.ir.as_ref() == Some(&ir));
                 let number = number.expect("IR is one of those that were sent");

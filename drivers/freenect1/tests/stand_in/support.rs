@@ -111,23 +111,45 @@ pub fn assert_bit_exact(frame: &RawFrame) -> usize {
     disparity.or(ir).expect("a frame holds something")
 }
 
-/// The next frame that is whole: a busy machine leaves packets without a transfer.
+/// The next frame that is whole: a busy machine leaves packets without a transfer. It may hold depth or IR alone: when a
+/// stream begins they need not begin together, and damaged IR costs itself alone.
 pub fn next_whole(camera: &mut Freenect1Camera) -> RawFrame {
-    first_whole(|| camera.grab_raw(5 * SECOND))
+    next_that(camera, |_| true)
+}
+
+/// The next whole frame that satisfies a condition.
+pub fn next_that(camera: &mut Freenect1Camera, satisfies: impl Fn(&RawFrame) -> bool) -> RawFrame {
+    first_that(|| camera.grab_raw(5 * SECOND), satisfies)
+}
+
+/// The next frame that holds depth and IR.
+pub fn next_pair(camera: &mut Freenect1Camera) -> RawFrame {
+    next_that(camera, |frame| {
+        frame.disparity.is_some() && frame.ir.is_some()
+    })
 }
 
 /// The same, decoded.
-pub fn next_decoded(camera: &mut Freenect1Camera) -> Frame {
-    first_whole(|| camera.grab(5 * SECOND)).expect("a device does not end")
+pub fn next_decoded_pair(camera: &mut Freenect1Camera) -> Frame {
+    let grab = || {
+        let frame = camera.grab(5 * SECOND)?;
+        Ok(frame.expect("a device does not end"))
+    };
+    first_that(grab, |frame| frame.depth.is_some() && frame.ir.is_some())
 }
 
-fn first_whole<T>(mut grab: impl FnMut() -> Result<T, CameraError>) -> T {
-    loop {
+fn first_that<T>(
+    mut grab: impl FnMut() -> Result<T, CameraError>,
+    satisfies: impl Fn(&T) -> bool,
+) -> T {
+    for _ in 0..100 {
         match grab() {
-            Ok(frame) => return frame,
+            Ok(frame) if satisfies(&frame) => return frame,
+            Ok(_) => {}
             Err(error) => assert!(matches!(error, CameraError::DamagedFrame { .. }), "{error}"),
         }
     }
+    panic!("no such frame among a hundred");
 }
 
 /// The first error that is not about a single frame, and how long it took to come.
