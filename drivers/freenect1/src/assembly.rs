@@ -16,6 +16,10 @@ use crate::{
 /// Buffers that are kept for use again: one is filled, one waits to be paired, the rest is on its way through the pipeline.
 const POOL_CAPACITY: usize = 16;
 
+/// IR whose stamp stands still goes alone until depth has brought so many images: its stamps move then, or never will. On a busy
+/// machine an image arrives as late as the next one, so that arrival pairs only where stamps never do.
+const N_DEPTH_UNTIL_STAMPS_MOVE: u64 = 3;
+
 /// One moment as the device delivers it, nothing decoded.
 #[derive(Debug)]
 pub struct RawFrame {
@@ -271,7 +275,8 @@ impl Assembler {
         // The firmware stops these stamps while depth is off, and sets them going with depth's first frame.
         let moves = self.ir.newest_ticks.replace(ticks) != Some(ticks);
         let depth_runs = self.depth.last_heard.is_some() && self.depth.n_heard > 0;
-        let ticks = (moves && depth_runs).then_some(ticks);
+        let is_known = moves && depth_runs;
+        let ticks = is_known.then_some(ticks);
         let device_time_secs = match ticks {
             Some(ticks) => self.clock.at(ticks, host),
             None => self.clock.without_stamp(host),
@@ -282,6 +287,9 @@ impl Assembler {
             host_time: host,
             device_time_secs,
         };
+        if !is_known && self.depth.n_heard < N_DEPTH_UNTIL_STAMPS_MOVE {
+            return self.resolve(Moment::Ir(exposure), &mut emit);
+        }
         let complete = self.pairing.ir(Stamp { host, ticks }, exposure);
         for moment in complete.into_iter().flatten() {
             self.resolve(moment, &mut emit);

@@ -113,6 +113,38 @@ fn infrared_goes_alone_once_depth_is_stopped() {
 }
 
 #[test]
+fn infrared_whose_stamps_stand_still_is_not_paired_by_arrival_before_they_can_move() {
+    let (mut assembler, now) = started();
+    let at = |ms| now + Duration::from_millis(ms);
+    // On a busy machine the images of two moments arrive at once.
+    assert!(ir(&mut assembler, 2_000_000, at(30), &[]).is_empty());
+    assert!(depth(&mut assembler, 4_000_000, at(31), &[]).is_empty());
+    assert_eq!(assembler.statistics().n_ir_unpaired, 1);
+    assert!(ir(&mut assembler, 2_000_000, at(32), &[]).is_empty());
+    assert_eq!(assembler.statistics().n_ir_unpaired, 2);
+    let pair = the_frame(ir(&mut assembler, 4_000_000, at(40), &[]));
+    assert_eq!(pair.disparity.unwrap().data()[0], 4_000_000_u32 as u16);
+    assert_eq!(pair.ir.unwrap().data()[0], 4_000_000_u32 as u16);
+}
+
+#[test]
+fn infrared_whose_stamps_never_move_is_paired_by_arrival() {
+    let (mut assembler, now) = started();
+    let mut frames = Vec::new();
+    for n in 0..5_u64 {
+        let at = now + Duration::from_micros(33_333 * n);
+        frames.extend(depth(&mut assembler, 2_000_000 * n as u32, at, &[]));
+        frames.extend(ir(&mut assembler, 7, at + Duration::from_millis(3), &[]));
+    }
+    let n_paired = frames
+        .iter()
+        .filter(|captured| matches!(captured, Captured::Frame(frame) if frame.ir.is_some()))
+        .count();
+    // The first stamp is new and fits; the second might still begin to move.
+    assert_eq!((n_paired, assembler.statistics().n_ir_unpaired), (4, 1));
+}
+
+#[test]
 fn silence_is_measured_from_the_start_or_the_newest_frame() {
     let (mut assembler, now) = started();
     let later = now + Duration::from_secs(3);
