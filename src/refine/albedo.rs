@@ -169,15 +169,6 @@ impl Albedo {
         })
     }
 
-    /// The same groups with other tints.
-    pub fn with_tints(self, tints: Vec<f64>) -> Albedo {
-        Albedo {
-            by_site: by_site(&self.groups, &self.labels, &tints),
-            tints,
-            ..self
-        }
-    }
-
     /// The tints of those sites that stay in a group of the same albedo.
     fn kept_tints(&self, next: &Albedo) -> Vec<f64> {
         let group = |albedo: &Albedo, site: usize| albedo.groups[albedo.labels[site] as usize];
@@ -240,10 +231,10 @@ impl Albedo {
         }
     }
 
-    /// Gives the groups other albedos.
-    pub fn repaint(&mut self, groups: Vec<f64>) {
-        self.by_site = by_site(&groups, &self.labels, &self.tints);
-        self.groups = groups;
+    /// Gives the groups other albedos and the sites other tints.
+    pub fn repaint(&mut self, groups: Vec<f64>, tints: Vec<f64>) {
+        self.by_site = by_site(&groups, &self.labels, &tints);
+        (self.groups, self.tints) = (groups, tints);
     }
 
     /// All albedos multiplied by a factor.

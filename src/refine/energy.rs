@@ -1,33 +1,24 @@
 //! The energy of Eq. (5): data term Eq. (6) at all sites over all views, with what holds their tints, smoothness Eq. (7) and anchor
 //! Eq. (8) on the total displacement; its value, and its normal equations by the displacements along fixed directions.
 //!
-//! A face site has the facet's own normal, so that each residual touches three displacements: `∂N/∂δ_a = m_a × (b − c)`
-//! for `N = (b − a) × (c − a)`, and `∂n = (I − n nᵀ)/|N| ∂N`. All views of a site share that pattern and are summed into
-//! one 3×3 block. Sites at vertices touch more ([`VertexSystem`]). Sums run over fixed tiles, in order.
+//! A face site has the facet's own normal, so that each residual touches three displacements. All views of a site share that
+//! pattern and are summed into one 3×3 block. Sites at vertices touch more ([`VertexSystem`]). Sums run over fixed tiles, in
+//! order.
 
+use super::MAX_VIEWS;
 use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
 use super::observations::{Observation, Observations};
 use super::patches::Patch;
 use super::priors::PriorWeights;
 use super::sites::SiteKind;
-use super::tint::Tint;
+use super::surface::{Surface, normal_by_displacement, unit_normal};
+use super::tint::{Shown, Tint};
 use super::vertex_system::VertexSystem;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
-
-/// The surface and what the displacements mean.
-#[derive(Clone, Debug)]
-pub struct Surface {
-    /// The mesh as displaced so far.
-    pub mesh: TriMesh,
-    /// Directions of the displacements, unit length, one a vertex.
-    pub directions: Vec<Vector3<f64>>,
-    /// Displacement from the base mesh so far, along the directions, metres.
-    pub total_m: Vec<f64>,
-}
 
 /// What stays fixed while displacements are solved for.
 pub struct Problem<'a> {
@@ -123,6 +114,14 @@ pub struct Site {
     tint: Option<Tint>,
 }
 
+/// The energy of a surface with given albedos of the groups, and the tints that it is about least for.
+pub struct Evaluation {
+    /// Its value.
+    pub energy: f64,
+    /// Tint of each site; `None` where it does not follow the surface and is as it was thought to be.
+    pub tints: Vec<Option<Tint>>,
+}
+
 /// Unit normals of a surface's sites.
 enum Normals<'a> {
     OfFaces(&'a TriMesh),
@@ -144,23 +143,32 @@ impl Normals<'_> {
 
 impl Problem<'_> {
     /// Energy of the surface with the groups' albedos.
-    pub fn energy(&self, surface: &Surface, albedos: &[f64]) -> f64 {
+    pub fn evaluate(&self, surface: &Surface, albedos: &[f64]) -> Evaluation {
         let (n_sites, normals) = (self.labels.len(), self.normals(&surface.mesh));
-        let of_tile = |tile: usize| -> f64 {
+        let of_tile = |tile: usize| -> (f64, Vec<Option<Tint>>) {
             let sites = tile * TILE..((tile + 1) * TILE).min(n_sites);
-            let energy = |index| {
+            let mut shown = Vec::with_capacity(MAX_VIEWS);
+            let mut energy = 0.0;
+            let of_site = |index| {
                 let normal = normals.unit(index)?;
-                Some(self.energy_of(&self.site(surface, albedos, index, normal)))
+                self.show(surface, albedos, (index, normal), &mut shown);
+                let (own, tint) = self.energy_of(index, &shown);
+                energy += own;
+                tint
             };
-            sites.filter_map(energy).sum()
+            let tints = sites.map(of_site).collect();
+            (energy, tints)
         };
         let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter().with_max_len(1);
         // The priors keep one thread busy.
-        let (prior, data) = rayon::join(
+        let (prior, tiles) = rayon::join(
             || self.prior_energy(&surface.total_m),
-            || tiles.map(of_tile).collect::<Vec<f64>>(),
+            || tiles.map(of_tile).collect::<Vec<_>>(),
         );
-        data.iter().sum::<f64>() + prior
+        Evaluation {
+            energy: tiles.iter().map(|(energy, _)| energy).sum::<f64>() + prior,
+            tints: tiles.into_iter().flat_map(|(_, tints)| tints).collect(),
+        }
     }
 
     fn normals<'m>(&self, mesh: &'m TriMesh) -> Normals<'m> {
@@ -170,57 +178,73 @@ impl Problem<'_> {
         }
     }
 
-    /// A site as it is now.
+    /// What the views show of a site as it is now.
+    fn show(
+        &self,
+        surface: &Surface,
+        albedos: &[f64],
+        (index, normal): (usize, Vector3<f64>),
+        shown: &mut Vec<Shown>,
+    ) {
+        let group = albedos[self.labels[index] as usize];
+        let moved_m = self.observations.moved_m(surface, index);
+        shown.clear();
+        shown.extend(self.observations.of(index).iter().filter_map(|seen| {
+            let moved = seen.moved(moved_m);
+            Some(Shown {
+                observed: moved.observed(),
+                predicted: group * moved.unit_prediction(&normal)?,
+                covered: f64::from(seen.covered),
+            })
+        }));
+    }
+
+    /// What a site adds to the energy, with its tint if that follows the surface.
+    fn energy_of(&self, index: usize, shown: &[Shown]) -> (f64, Option<Tint>) {
+        let start = self.tints[index];
+        let tint = match self.finds_tints {
+            true => Tint::best(shown, self.loss, start),
+            false => None,
+        };
+        let factor = tint.map_or(start, |tint| tint.factor);
+        let of_view = |view: &Shown| view.covered * self.loss.loss(view.residual(factor));
+        let data: f64 = shown.iter().map(of_view).sum();
+        (data + tint.map_or(0.0, |tint| tint.energy()), tint)
+    }
+
+    /// The factors of tints that were found, and of the others as they were thought to be.
+    pub fn factors(&self, found: &[Option<Tint>]) -> Vec<f64> {
+        let pairs = found.iter().zip(self.tints);
+        let factor =
+            |(found, start): (&Option<Tint>, &f64)| found.map_or(*start, |tint| tint.factor);
+        pairs.map(factor).collect()
+    }
+
+    /// A site as it is now, with its tint if that follows the surface.
     pub fn site(
         &self,
         surface: &Surface,
         albedos: &[f64],
-        index: usize,
-        normal: Vector3<f64>,
+        (index, normal): (usize, Vector3<f64>),
+        tint: Option<Tint>,
     ) -> Site {
-        let (group, start) = (albedos[self.labels[index] as usize], self.tints[index]);
-        let moved_m = self.observations.moved_m(surface, index);
-        let seen = self.observations.of(index);
-        let find = || Tint::best(seen, (&normal, moved_m), group, self.loss, start);
-        let tint = self.finds_tints.then(find).flatten();
+        let factor = tint.map_or(self.tints[index], |tint| tint.factor);
         Site {
             index,
             normal,
-            albedo: group * tint.map_or(start, |tint| tint.factor),
-            moved_m,
+            albedo: albedos[self.labels[index] as usize] * factor,
+            moved_m: self.observations.moved_m(surface, index),
             tint,
         }
     }
 
-    /// Tints of all sites as the surface has them.
-    pub fn found_tints(&self, surface: &Surface, albedos: &[f64]) -> Vec<f64> {
-        let normals = self.normals(&surface.mesh);
-        let found = |index: usize| {
-            let normal = normals.unit(index)?;
-            let tint = self.site(surface, albedos, index, normal).tint?;
-            Some(tint.factor)
-        };
-        let tints =
-            in_tiles(self.labels.len()).map(|index| found(index).unwrap_or(self.tints[index]));
-        tints.collect()
-    }
-
-    fn energy_of(&self, site: &Site) -> f64 {
-        let mut energy = site.tint.map_or(0.0, |tint| tint.energy());
-        for seen in self.observations.of(site.index) {
-            let moved = seen.moved(site.moved_m);
-            if let Some(residual) = moved.residual(&site.normal, site.albedo) {
-                energy += f64::from(seen.covered) * self.loss.loss(residual);
-            }
-        }
-        energy
-    }
-
-    /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held.
+    /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held; `tints` are those that
+    /// [`Self::evaluate`] finds there.
     pub fn linearise(
         &self,
         surface: &Surface,
         albedos: &[f64],
+        tints: &[Option<Tint>],
         couplings: &Couplings,
     ) -> NormalMatrix {
         let of_priors = || {
@@ -237,13 +261,13 @@ impl Problem<'_> {
         match self.sites {
             SiteKind::Face => {
                 let mut matrix = of_priors();
-                self.add_faces(surface, albedos, couplings, &mut matrix);
+                self.add_faces(surface, (albedos, tints), couplings, &mut matrix);
                 matrix
             }
             SiteKind::Vertex => {
                 let corners = &couplings.corners;
                 let (mut matrix, system) = rayon::join(of_priors, || {
-                    VertexSystem::new(self, surface, albedos, corners)
+                    VertexSystem::new(self, surface, (albedos, tints), corners)
                 });
                 system.add_bound(self, couplings, &mut matrix);
                 matrix.at_vertices = Some(system);
@@ -255,12 +279,12 @@ impl Problem<'_> {
     fn add_faces(
         &self,
         surface: &Surface,
-        albedos: &[f64],
+        (albedos, tints): (&[f64], &[Option<Tint>]),
         couplings: &Couplings,
         matrix: &mut NormalMatrix,
     ) {
         let blocks: Vec<Block<3>> = in_tiles(surface.mesh.faces.len())
-            .map(|face| self.face_block(surface, albedos, face))
+            .map(|face| self.face_block(surface, albedos, (face, tints[face])))
             .collect();
         let faces = surface.mesh.faces.iter().zip(self.labels);
         for (((face, &label), block), sides) in faces.zip(&blocks).zip(&couplings.of_faces) {
@@ -279,14 +303,19 @@ impl Problem<'_> {
     }
 
     /// What the views say of one facet.
-    pub fn face_block(&self, surface: &Surface, albedos: &[f64], face: usize) -> Block<3> {
+    pub fn face_block(
+        &self,
+        surface: &Surface,
+        albedos: &[f64],
+        (face, tint): (usize, Option<Tint>),
+    ) -> Block<3> {
         if self.observations.of(face).is_empty() {
             return Block::default();
         }
         let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
             return Block::default();
         };
-        let facet = self.site(surface, albedos, face, normal);
+        let facet = self.site(surface, albedos, (face, normal), tint);
         let albedo = facet.albedo;
         match self.jacobian {
             JacobianMode::Analytic => {
@@ -333,90 +362,6 @@ impl Problem<'_> {
         match &site.tint {
             Some(tint) => block.with_tint_following(tint),
             None => block,
-        }
-    }
-}
-
-/// Unit normal and area (m²) of a face; `None` where it has no area.
-pub fn unit_normal(mesh: &TriMesh, face: usize) -> Option<(Vector3<f64>, f64)> {
-    let normal = mesh.face_normal(face);
-    let norm = normal.norm();
-    (norm > 0.0).then(|| (normal / norm, 0.5 * norm))
-}
-
-/// Derivatives of a facet's unit normal by the displacements of its corners, per metre.
-fn normal_by_displacement(
-    surface: &Surface,
-    face: usize,
-    normal: &Vector3<f64>,
-) -> [Vector3<f64>; 3] {
-    let inv_norm = 1.0 / surface.mesh.face_normal(face).norm();
-    area_vector_by_displacement(surface, face)
-        .map(|change| (change - normal * normal.dot(&change)) * inv_norm)
-}
-
-/// Derivatives of [`area_vector`](crate::geometry::area_vector) of a face by the displacements of its corners, m.
-pub fn area_vector_by_displacement(surface: &Surface, face: usize) -> [Vector3<f64>; 3] {
-    let corners = surface.mesh.corners(face);
-    std::array::from_fn(|corner| {
-        let direction = surface.directions[surface.mesh.faces[face][corner] as usize];
-        direction.cross(&(corners[(corner + 1) % 3] - corners[(corner + 2) % 3]))
-    })
-}
-
-impl Surface {
-    /// Displacement of a site from the base mesh so far, metres.
-    #[inline]
-    pub fn displacement_m(&self, kind: SiteKind, site: usize) -> f64 {
-        match kind {
-            SiteKind::Face => self.mesh.mean_at_face(site, |vertex| self.total_m[vertex]),
-            SiteKind::Vertex => self.total_m[site],
-        }
-    }
-
-    /// The surface with every vertex moved along its direction.
-    pub fn displaced(&self, step_m: &[f64]) -> Surface {
-        let mut next = self.clone();
-        for (vertex, &step) in step_m.iter().enumerate() {
-            next.mesh.vertices[vertex] += self.directions[vertex] * step;
-            next.total_m[vertex] += step;
-        }
-        next
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::Point3;
-
-    #[test]
-    fn derivative_of_the_normal_matches_central_differences() {
-        let mesh = TriMesh {
-            vertices: vec![
-                Point3::new(0.0, 0.1, 0.6),
-                Point3::new(0.0013, 0.1002, 0.6004),
-                Point3::new(0.0005, 0.1011, 0.5997),
-            ],
-            faces: vec![[0, 1, 2]],
-        };
-        let directions = [[0.1, 0.2, -1.0], [-0.3, 0.1, -0.9], [0.2, -0.4, -0.8]]
-            .map(|d| Vector3::from(d).try_normalize(0.0).expect("not zero"));
-        let surface = Surface {
-            mesh,
-            directions: directions.to_vec(),
-            total_m: vec![0.0; 3],
-        };
-        let normal_of = |surface: &Surface| unit_normal(&surface.mesh, 0).expect("has an area").0;
-        let analytic = normal_by_displacement(&surface, 0, &normal_of(&surface));
-        for corner in 0..3 {
-            let moved = |step: f64| {
-                let mut steps = [0.0; 3];
-                steps[corner] = step;
-                normal_of(&surface.displaced(&steps))
-            };
-            let numeric = (moved(1e-7) - moved(-1e-7)) / 2e-7;
-            assert!((numeric - analytic[corner]).norm() < 1e-7 * analytic[corner].norm());
         }
     }
 }

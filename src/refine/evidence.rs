@@ -12,9 +12,10 @@
 //! detail: on a scan with known truth it puts vertices in the order of their errors, and lies within a factor of two of the error
 //! of their detail, while the slow shape was off by four times as much.
 
-use super::energy::{Problem, Surface, in_tiles};
+use super::energy::{Problem, in_tiles};
 use super::rounds::{Rounds, State, final_loss};
 use super::sites::{SiteKind, Sites, ViewSet};
+use super::surface::Surface;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -104,9 +105,10 @@ impl Rounds<'_> {
         let observations = self.observe(sites, surface, views, None);
         let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
         let problem = self.problem(&observations, albedo, loss);
-        let with_images =
-            problem.linearise(surface, &albedo.groups, self.level.pattern.couplings());
-        let without = problem.prior_matrix(&surface.total_m, self.level.pattern.couplings());
+        let tints = problem.evaluate(surface, &albedo.groups).tints;
+        let couplings = self.level.pattern.couplings();
+        let with_images = problem.linearise(surface, &albedo.groups, &tints, couplings);
+        let without = problem.prior_matrix(&surface.total_m, couplings);
         let variances = |matrix| self.level.pattern.inverse_diagonal(matrix);
         let (posterior, prior) = rayon::join(|| variances(&with_images), || variances(&without));
         let (posterior, prior) = (posterior?, prior?);

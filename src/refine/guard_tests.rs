@@ -1,10 +1,10 @@
 //! Bad input: each kind is refused with its figure, or leaves the base surface alone.
 
-use super::energy::unit_normal;
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
 use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays};
 use super::sites::SiteKind;
+use super::surface::unit_normal;
 use super::{
     ImageTrust, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate,
     refine,

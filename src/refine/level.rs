@@ -5,7 +5,6 @@
 
 use super::albedo::Albedo;
 use super::couplings::Couplings;
-use super::energy::Surface;
 use super::error::RefineError;
 use super::params::RefineParams;
 use super::patches::{self, Patch};
@@ -13,6 +12,7 @@ use super::remesh::{RemeshParams, Subdivided, remesh, subdivide};
 use super::rounds::State;
 use super::sites::SiteKind;
 use super::solver::Pattern;
+use super::surface::Surface;
 use crate::geometry::{EdgeAdjacency, TriMesh, TriangleBvh};
 
 /// A mesh of nearly equal edges, not displaced.

@@ -53,6 +53,7 @@ mod site_motion;
 mod sites;
 mod solver;
 pub mod stages;
+mod surface;
 #[cfg(test)]
 mod tests;
 mod tint;

@@ -3,8 +3,8 @@
 //! The residual is evaluated with one corner of the facet displaced at a time, which the sparsity of Eq. (6) allows; pixel,
 //! distance and light follow or are held as they are for the exact derivatives, so that both are of the same function.
 
-use super::energy::Surface;
 use super::observations::Observation;
+use super::surface::Surface;
 use crate::geometry::area_vector;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};

@@ -3,11 +3,11 @@
 //! Each image is sampled once a round. Within a solve pixel, distance and light are held (Sec. 4.3), or change in proportion to
 //! the site's own motion ([`SiteMotion`]); a residual costs a scalar product either way. How much of a pixel a site covers is held.
 
-use super::energy::Surface;
 use super::gaze::{AsItIs, Gaze, Lanes3, Surfels, Weighed, set_lane};
 use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
+use super::surface::Surface;
 use super::view::View;
 use crate::geometry::lanes::LANES;
 use crate::shading::median_absolute_deviation;

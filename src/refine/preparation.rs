@@ -2,7 +2,6 @@
 
 use super::MAX_VIEWS;
 use super::albedo::{Albedo, labels_by_face};
-use super::energy::Surface;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
 use super::held_out::{JudgedView, judge};
 use super::level::{Level, levels};
@@ -14,6 +13,7 @@ use super::self_calibration::{Contradiction, Told, Tolerance, gloss_of_materials
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
+use super::surface::Surface;
 use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
 use crate::interreflection::WhiteLevel;

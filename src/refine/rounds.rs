@@ -2,7 +2,7 @@
 
 use super::albedo::{Albedo, AlbedoMode, AlbedoParams, Groups};
 use super::alignment::{AlignmentTarget, align_view};
-use super::energy::{Problem, Surface};
+use super::energy::Problem;
 use super::level::Level;
 use super::observations::Observations;
 use super::params::RefineParams;
@@ -10,7 +10,8 @@ use super::priors::PriorWeights;
 use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
-use super::solver::{Iteration, RefineStatus, SolverParams, minimise};
+use super::solver::{Iteration, Minimum, RefineStatus, SolverParams, minimise};
+use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
 use crate::shading::Tukey;
@@ -78,13 +79,16 @@ impl Rounds<'_> {
         observations: &Observations,
         mut albedo: Albedo,
     ) -> Albedo {
+        if !self.finds_tints() {
+            return albedo;
+        }
         // What is printed is an outlier at first.
-        let n_times = if self.finds_tints() { 3 } else { 0 };
-        for _ in 0..n_times {
+        for _ in 0..3 {
             let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
             let problem = self.problem(observations, &albedo, loss);
-            let tints = problem.found_tints(surface, &albedo.groups);
-            albedo = albedo.with_tints(tints);
+            let found = problem.evaluate(surface, &albedo.groups).tints;
+            let tints = problem.factors(&found);
+            albedo.repaint(albedo.groups.clone(), tints);
         }
         albedo
     }
@@ -162,7 +166,7 @@ impl Rounds<'_> {
             max_step_m: 0.4 * self.level.edge_length_m,
         };
         let mut groups = albedo.groups.clone();
-        let status = minimise(
+        let Minimum { status, tints } = minimise(
             surface,
             &mut groups,
             &problem,
@@ -170,13 +174,8 @@ impl Rounds<'_> {
             &solver,
             |iteration| accepted(Iteration { round, ..iteration }),
         );
-        let tints = problem
-            .finds_tints
-            .then(|| problem.found_tints(surface, &groups));
-        albedo.repaint(groups);
-        if let Some(tints) = tints {
-            *albedo = albedo.clone().with_tints(tints);
-        }
+        let tints = problem.factors(&tints);
+        albedo.repaint(groups, tints);
         status
     }
 

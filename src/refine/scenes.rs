@@ -1,13 +1,14 @@
 //! Tiny scenes with closed-form answers for the tests of refinement.
 
 use super::couplings::Couplings;
-use super::energy::{Problem, Surface};
+use super::energy::Problem;
 use super::observations::Observations;
 use super::optics::Optics;
 use super::rounds::{final_loss, prior_weights, radius_about};
 use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
 use super::solver::{Pattern, SolverParams, minimise};
+use super::surface::Surface;
 use super::view::{ImageTrust, View, ViewContext};
 use super::{RefineParams, patches};
 use crate::geometry::{CameraModel, EdgeAdjacency, Pose, RayGrid, TriMesh, increment};

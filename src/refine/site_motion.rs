@@ -3,8 +3,8 @@
 //! The paper holds d within an iteration. A surface that is displaced also moves on the images of the views that look at it from
 //! aside, which tells where it is beside how it is tilted: brightness has to change from place to place as each view shows it.
 
-use super::energy::Surface;
 use super::sites::SiteKind;
+use super::surface::Surface;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,9 @@
 
 use super::cholesky::{Analysis, Factor};
 use super::couplings::Couplings;
-use super::energy::{GroupTerms, NormalMatrix, Problem, Surface};
+use super::energy::{Evaluation, GroupTerms, NormalMatrix, Problem};
+use super::surface::Surface;
+use super::tint::Tint;
 use crate::geometry::area_vector;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Point3};
 use rayon::prelude::*;
@@ -295,6 +297,14 @@ pub struct SolverParams {
     pub max_step_m: f64,
 }
 
+/// Where the energy was lowered to.
+pub struct Minimum {
+    /// Why it ended.
+    pub status: RefineStatus,
+    /// Tint of each site, as [`Evaluation::tints`].
+    pub tints: Vec<Option<Tint>>,
+}
+
 /// Lowers the energy by the surface and the groups' albedos together; it never rises. Brightness tells a darker material from
 /// a steeper slope by the slopes that depth holds, which neither finds with the other one fixed.
 pub fn minimise(
@@ -304,67 +314,109 @@ pub fn minimise(
     pattern: &Pattern,
     params: &SolverParams,
     mut accepted: impl FnMut(Iteration) -> bool,
-) -> RefineStatus {
-    const MAX_DAMPING: f64 = 1e6;
-    let mut energy = problem.energy(surface, albedos);
+) -> Minimum {
+    let mut now = problem.evaluate(surface, albedos);
     let mut damping = 1e-4;
+    let mut status = RefineStatus::IterationLimit;
     for _ in 0..params.max_steps {
-        let matrix = problem.linearise(surface, albedos, &pattern.couplings);
-        let (next, next_albedos, next_energy, max_step_m) = loop {
-            let Some(step) = pattern.solve(problem, &matrix, damping) else {
-                damping *= 10.0;
-                if damping > MAX_DAMPING {
-                    return RefineStatus::Singular;
-                }
-                continue;
-            };
-            let Step {
-                mut displacement,
-                log_albedo,
-            } = step;
-            for value in &mut displacement {
-                *value = value.clamp(-params.max_step_m, params.max_step_m);
-            }
-            hold_back_flips(surface, &mut displacement);
-            let trial = surface.displaced(&displacement);
-            let change = |by: &f64| by.clamp(-MAX_ALBEDO_STEP, MAX_ALBEDO_STEP).exp();
-            let pairs = albedos.iter().zip(&log_albedo);
-            let trial_albedos: Vec<f64> = pairs.map(|(albedo, by)| albedo * change(by)).collect();
-            let trial_energy = problem.energy(&trial, &trial_albedos);
-            if trial_energy < energy {
-                break (
-                    trial,
-                    trial_albedos,
-                    trial_energy,
-                    displacement
-                        .iter()
-                        .fold(0.0, |max: f64, s| max.max(s.abs())),
-                );
-            }
-            damping *= 10.0;
-            if damping > MAX_DAMPING {
-                return RefineStatus::Stalled;
+        let start = (&*surface, &albedos[..], &now);
+        let next = match lower(start, problem, pattern, params, &mut damping) {
+            Ok(next) => next,
+            Err(ended) => {
+                status = ended;
+                break;
             }
         };
-        (*surface, *albedos) = (next, next_albedos);
         let iteration = Iteration {
             round: 0,
-            energy_before: energy,
-            energy_after: next_energy,
+            energy_before: now.energy,
+            energy_after: next.evaluation.energy,
             damping,
-            max_step_m,
+            max_step_m: next.max_step_m,
         };
+        (*surface, *albedos) = (next.surface, next.albedos);
+        now = next.evaluation;
         if !accepted(iteration) {
-            return RefineStatus::Cancelled;
+            status = RefineStatus::Cancelled;
+            break;
         }
-        let decrease = (energy - next_energy) / energy;
-        energy = next_energy;
         damping = (damping * 0.1).max(1e-8);
+        let decrease = (iteration.energy_before - now.energy) / iteration.energy_before;
         if decrease < params.min_decrease {
-            return RefineStatus::Converged;
+            status = RefineStatus::Converged;
+            break;
         }
     }
-    RefineStatus::IterationLimit
+    Minimum {
+        status,
+        tints: now.tints,
+    }
+}
+
+/// What one step leads to.
+struct Lowered {
+    surface: Surface,
+    albedos: Vec<f64>,
+    evaluation: Evaluation,
+    max_step_m: f64,
+}
+
+/// A step that lowers the energy, damped as far as it must be; how it ends where there is none.
+fn lower(
+    (surface, albedos, now): (&Surface, &[f64], &Evaluation),
+    problem: &Problem,
+    pattern: &Pattern,
+    params: &SolverParams,
+    damping: &mut f64,
+) -> Result<Lowered, RefineStatus> {
+    const MAX_DAMPING: f64 = 1e6;
+    let matrix = problem.linearise(surface, albedos, &now.tints, &pattern.couplings);
+    loop {
+        let ended = match pattern.solve(problem, &matrix, *damping) {
+            Some(step) => {
+                let next = take(surface, albedos, problem, params, step);
+                if next.evaluation.energy < now.energy {
+                    return Ok(next);
+                }
+                RefineStatus::Stalled
+            }
+            None => RefineStatus::Singular,
+        };
+        *damping *= 10.0;
+        if *damping > MAX_DAMPING {
+            return Err(ended);
+        }
+    }
+}
+
+/// The surface and albedos after a step, which is held within its bounds.
+fn take(
+    surface: &Surface,
+    albedos: &[f64],
+    problem: &Problem,
+    params: &SolverParams,
+    step: Step,
+) -> Lowered {
+    let Step {
+        mut displacement,
+        log_albedo,
+    } = step;
+    for value in &mut displacement {
+        *value = value.clamp(-params.max_step_m, params.max_step_m);
+    }
+    hold_back_flips(surface, &mut displacement);
+    let surface = surface.displaced(&displacement);
+    let change = |by: &f64| by.clamp(-MAX_ALBEDO_STEP, MAX_ALBEDO_STEP).exp();
+    let pairs = albedos.iter().zip(&log_albedo);
+    let albedos: Vec<f64> = pairs.map(|(albedo, by)| albedo * change(by)).collect();
+    Lowered {
+        evaluation: problem.evaluate(&surface, &albedos),
+        max_step_m: displacement
+            .iter()
+            .fold(0.0, |max: f64, step| max.max(step.abs())),
+        surface,
+        albedos,
+    }
 }
 
 /// Shortens the step at the corners of faces that it would turn by more than 60°, until none is left.
@@ -448,7 +500,9 @@ mod tests {
         };
         let plane = RippledPlane { amplitude_m: 0.0 }.mesh(params.edge_length_m);
         with_problem(&hidden, plane, &params, |problem, surface, pattern| {
-            let matrix = problem.linearise(&surface, &[1.1 * ALBEDO], pattern.couplings());
+            let albedos = [1.1 * ALBEDO];
+            let tints = problem.evaluate(&surface, &albedos).tints;
+            let matrix = problem.linearise(&surface, &albedos, &tints, pattern.couplings());
             for damping in [1e-8, 1e-3] {
                 let (all, right) = dense(&matrix, &pattern.couplings().pairs, damping);
                 let expected = all.cholesky().expect("positive definite").solve(&right);

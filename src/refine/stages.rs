@@ -4,7 +4,7 @@
 
 use super::RefineError;
 use super::albedo::Albedo;
-use super::energy::{Block, NormalMatrix, Problem};
+use super::energy::{Block, Evaluation, NormalMatrix, Problem};
 use super::observations::Observations;
 use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
@@ -12,6 +12,7 @@ use super::priors::PriorWeights;
 use super::rounds::{State, final_loss};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::Step;
+use super::tint::Tint;
 use super::view::View;
 use crate::geometry::{Pose, TriMesh};
 use crate::shading::{LinearImage, Tukey};
@@ -27,6 +28,8 @@ pub struct Stages {
     sites: Sites,
     observations: Observations,
     loss: Tukey,
+    /// As the surface has them.
+    tints: Vec<Option<Tint>>,
 }
 
 impl Stages {
@@ -48,14 +51,17 @@ impl Stages {
         let sites = rounds.sites(&state.surface.mesh, &state.views, learning, &state.albedo);
         let observations = rounds.observe(&sites, &state.surface, &state.views, None);
         let scale = observations.residual_scale(&sites, &state.albedo.by_site);
-        Ok(Stages {
+        let mut stages = Stages {
             prepared,
             state,
             learning,
             sites,
             observations,
             loss: final_loss(scale),
-        })
+            tints: Vec::new(),
+        };
+        stages.tints = stages.evaluate().tints;
+        Ok(stages)
     }
 
     /// Vertices of the mesh.
@@ -100,8 +106,14 @@ impl Stages {
 
     /// The robust energy of Eq. (5): every residual once.
     pub fn energy(&self) -> f64 {
-        self.problem()
-            .energy(&self.state.surface, &self.state.albedo.groups)
+        self.evaluate().energy
+    }
+
+    fn evaluate(&self) -> Evaluation {
+        let State {
+            surface, albedo, ..
+        } = &self.state;
+        self.problem().evaluate(surface, &albedo.groups)
     }
 
     /// Residuals, their derivatives, and the normal equations.
@@ -110,6 +122,7 @@ impl Stages {
         self.problem().linearise(
             &self.state.surface,
             &self.state.albedo.groups,
+            &self.tints,
             pattern.couplings(),
         )
     }
@@ -133,7 +146,7 @@ impl Stages {
         let faces = surface.mesh.faces.iter().zip(&albedo.labels).enumerate();
         let seen = faces.filter(|(face, _)| !self.observations.of(*face).is_empty());
         let terms = seen.map(|(face, (&[a, b, c], &label))| {
-            let block = problem.face_block(surface, &albedo.groups, face);
+            let block = problem.face_block(surface, &albedo.groups, (face, self.tints[face]));
             let unknowns = [a, b, c, n_vertices as u32 + u32::from(label)];
             FaceTerm::new(unknowns, &block)
         });

@@ -2,7 +2,7 @@
 
 use super::alignment::{AlignmentParams, AlignmentTarget, align_view};
 use super::couplings::Couplings;
-use super::energy::{Problem, Surface};
+use super::energy::Problem;
 use super::numeric::JacobianMode;
 use super::observations::Observations;
 use super::optics::Optics;
@@ -13,6 +13,7 @@ use super::scenes::{
 use super::site_motion::{Linearisation, SiteMotion};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::SolverParams;
+use super::surface::Surface;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::shading::Tukey;
@@ -100,7 +101,8 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind, finds_tints: boo
     } else {
         (1e-4, 1e-4)
     };
-    let matrix = problem.linearise(&surface, &albedos, &couplings);
+    let tints = problem.evaluate(&surface, &albedos).tints;
+    let matrix = problem.linearise(&surface, &albedos, &tints, &couplings);
     let largest = matrix
         .gradient
         .iter()
@@ -109,7 +111,9 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind, finds_tints: boo
         let moved = |step: f64| {
             let mut steps = vec![0.0; surface.total_m.len()];
             steps[vertex] = step;
-            problem.energy(&surface.displaced(&steps), &albedos)
+            problem
+                .evaluate(&surface.displaced(&steps), &albedos)
+                .energy
         };
         let numeric = (moved(1e-8) - moved(-1e-8)) / 2e-8;
         assert!(
@@ -122,7 +126,7 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind, finds_tints: boo
         let changed = |by: f64| {
             let mut albedos = albedos;
             albedos[group] *= by.exp();
-            problem.energy(&surface, &albedos)
+            problem.evaluate(&surface, &albedos).energy
         };
         let numeric = (changed(1e-6) - changed(-1e-6)) / 2e-6;
         let analytic = matrix.groups[group].gradient;

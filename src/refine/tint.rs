@@ -7,11 +7,8 @@
 //! 1973). It is held to 1 like albedo that differs little as a rule, and by much where something is printed. What else adds the same
 //! share to all views, as light over other surfaces does, no longer turns the surface either.
 
-use super::MAX_VIEWS;
 use super::energy::Block;
-use super::observations::Observation;
 use crate::shading::Tukey;
-use nalgebra::Vector3;
 
 /// By which factor the albedo of a site differs from its group's, where its views tell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,47 +33,38 @@ const STEPS: usize = 4;
 const MAX_FACTOR: f64 = 5.0;
 
 /// What one view shows of a site, and what it would show with a tint of 1.
-#[derive(Clone, Copy, Default)]
-struct Shown {
-    observed: f64,
-    predicted: f64,
-    covered: f64,
+#[derive(Clone, Copy)]
+pub struct Shown {
+    /// Observed intensity, in its standard deviations.
+    pub observed: f64,
+    /// Predicted by the group's albedo, in the same unit.
+    pub predicted: f64,
+    /// How much the site counts.
+    pub covered: f64,
+}
+
+impl Shown {
+    /// Observed less predicted intensity with a tint, in sigmas.
+    #[inline]
+    pub fn residual(&self, factor: f64) -> f64 {
+        self.observed - factor * self.predicted
+    }
 }
 
 impl Tint {
-    /// That for which the energy of a site is about least, if views enough see it: with its unit normal, moved by so many metres, and
-    /// of a group of this albedo. `start` is the factor that residuals are first weighted by.
-    pub fn best(
-        seen: &[Observation],
-        (normal, moved_m): (&Vector3<f64>, f64),
-        group: f64,
-        loss: Tukey,
-        start: f64,
-    ) -> Option<Tint> {
-        if seen.len() < MIN_VIEWS {
+    /// That for which the energy of a site is about least, if views enough show it. `start` is the factor that residuals are first
+    /// weighted by.
+    pub fn best(shown: &[Shown], loss: Tukey, start: f64) -> Option<Tint> {
+        if shown.len() < MIN_VIEWS {
             return None;
         }
-        let mut shown = [Shown::default(); MAX_VIEWS];
-        let mut n_shown = 0;
-        for view in seen {
-            let moved = view.moved(moved_m);
-            if let Some(unit) = moved.unit_prediction(normal) {
-                shown[n_shown] = Shown {
-                    observed: moved.observed(),
-                    predicted: group * unit,
-                    covered: f64::from(view.covered),
-                };
-                n_shown += 1;
-            }
-        }
-        let shown = &shown[..n_shown];
         let mut tint = Tint {
             factor: start,
-            n_told: seen.iter().map(|view| f64::from(view.covered)).sum(),
+            n_told: shown.iter().map(|view| view.covered).sum(),
         };
         for iteration in 0..ITERATIONS {
-            let residual = |view: &Shown| view.observed - tint.factor * view.predicted;
-            let (mut n, mut d) = sums(shown, |view| loss.weight(residual(view)));
+            let factor = tint.factor;
+            let (mut n, mut d) = sums(shown, |view| loss.weight(view.residual(factor)));
             if iteration == 0 {
                 if d <= 0.0 {
                     // All of them are outliers to what it was thought to be.
@@ -88,9 +76,11 @@ impl Tint {
             if d <= 0.0 {
                 return None;
             }
+            let most_held = tint.most_held();
             for _ in 0..STEPS {
-                let held = tint.held();
-                let factor = (n + held) / (d + held);
+                // As by the weight that holds it, with one division for two.
+                let apart = tint.apart();
+                let factor = (n * apart + most_held) / (d * apart + most_held);
                 tint.factor = factor.clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
             }
         }
@@ -99,14 +89,23 @@ impl Tint {
 
     /// What it adds to the energy.
     pub fn energy(&self) -> f64 {
-        let (apart, scale) = ((self.factor - 1.0) / PAINT, PAINT / SIGMA);
-        0.5 * self.n_told * scale * scale * (apart * apart).ln_1p()
+        0.5 * PAINT * PAINT * self.most_held() * self.apart().ln()
     }
 
     /// The weight by which it is held to 1.
     fn held(&self) -> f64 {
-        let apart = (self.factor - 1.0) / PAINT;
-        self.n_told / (SIGMA * SIGMA * (1.0 + apart * apart))
+        self.most_held() / self.apart()
+    }
+
+    /// The same of a factor of 1.
+    fn most_held(&self) -> f64 {
+        self.n_told * (1.0 / (SIGMA * SIGMA))
+    }
+
+    /// By how much less it is held, the farther from 1.
+    fn apart(&self) -> f64 {
+        let apart = (self.factor - 1.0) * (1.0 / PAINT);
+        1.0 + apart * apart
     }
 }
 

@@ -9,7 +9,9 @@
 //! is wider than a ring and too stiff for what is not; a few conjugate gradients make up for that.
 
 use super::couplings::{Couplings, VertexCorners};
-use super::energy::{NormalMatrix, Problem, Surface, TILE, area_vector_by_displacement, in_tiles};
+use super::energy::{NormalMatrix, Problem, Site, TILE, in_tiles};
+use super::surface::{Surface, area_vector_by_displacement};
+use super::tint::Tint;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -58,11 +60,11 @@ struct FaceBound {
 }
 
 impl VertexSystem {
-    /// Sums what the views say about a surface and the groups' albedos, robust weights held.
+    /// Sums what the views say about a surface, the groups' albedos and the sites' tints, robust weights held.
     pub fn new(
         problem: &Problem,
         surface: &Surface,
-        albedos: &[f64],
+        (albedos, tints): (&[f64], &[Option<Tint>]),
         corners: &VertexCorners,
     ) -> VertexSystem {
         let mesh = &surface.mesh;
@@ -81,9 +83,10 @@ impl VertexSystem {
             let normal = along[vertex].try_normalize(0.0).filter(|_| is_seen);
             normal.map_or(Terms::default(), |normal| {
                 let per_turn = rings[vertex] / along[vertex].norm();
+                let site = problem.site(surface, albedos, (vertex, normal), tints[vertex]);
                 Terms {
                     inv_size: 1.0 / rings[vertex],
-                    ..Terms::new(problem, surface, (vertex, normal, per_turn), albedos)
+                    ..Terms::new(problem, &site, per_turn)
                 }
             })
         });
@@ -213,15 +216,10 @@ impl VertexSystem {
 }
 
 impl Terms {
-    /// Of a vertex with its unit normal and by how much that turns with the change of `N` over the size of its faces.
-    fn new(
-        problem: &Problem,
-        surface: &Surface,
-        (vertex, normal, per_turn): (usize, Vector3<f64>, f64),
-        albedos: &[f64],
-    ) -> Terms {
-        let site = problem.site(surface, albedos, vertex, normal);
-        let block = problem.sum_over_views::<4>(&site, |seen| {
+    /// Of a vertex, by how much of whose unit normal's turn the change of `N` over the size of its faces is.
+    fn new(problem: &Problem, site: &Site, per_turn: f64) -> Terms {
+        let normal = site.normal;
+        let block = problem.sum_over_views::<4>(site, |seen| {
             let by_normal = seen.light() * -site.albedo;
             by_normal.push(seen.by_motion(site.albedo))
         });
@@ -327,7 +325,10 @@ mod tests {
             edges: &edges,
             jacobian: JacobianMode::Analytic,
         };
-        let linearise = |surface: &Surface| problem.linearise(surface, &[ALBEDO], &couplings);
+        let linearise = |surface: &Surface| {
+            let tints = problem.evaluate(surface, &[ALBEDO]).tints;
+            problem.linearise(surface, &[ALBEDO], &tints, &couplings)
+        };
         let matrix = linearise(&surface);
         let system = matrix.at_vertices.as_ref().expect("sites are at vertices");
         let prior = problem.prior_matrix(&surface.total_m, &couplings);
