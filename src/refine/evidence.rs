@@ -16,6 +16,7 @@ use super::energy::{Problem, in_tiles};
 use super::rounds::{Rounds, State, final_loss};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
+use super::tint::Tint;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -33,7 +34,7 @@ pub struct Evidence {
     pub sigma_m: Vec<f64>,
     /// Share of the displacement's variance that the images took away, 0 to 1.
     pub confidence: Vec<f64>,
-    /// Share of what is known of the worst known tilt that the images say, 0 to 1.
+    /// Share of what is known of the worst known tilt that the images say, 0 to 1; what may be tint as well they do not say.
     pub coverage: Vec<f64>,
     /// Views that see the surface round the vertex; where there are none the surface is as it was fused.
     pub n_views: Vec<u8>,
@@ -119,7 +120,7 @@ impl Rounds<'_> {
             confidence: pairs
                 .map(|(with, without)| (1.0 - with / without).clamp(0.0, 1.0))
                 .collect(),
-            coverage: self.coverage(&problem, surface, (sites, &albedo.by_site)),
+            coverage: self.coverage(&problem, surface, (&albedo.groups, &tints), sites),
             n_views: views_of_vertices(surface, sites),
         })
     }
@@ -128,13 +129,19 @@ impl Rounds<'_> {
         &self,
         problem: &Problem,
         surface: &Surface,
-        (sites, albedo): (&Sites, &[f64]),
+        (albedos, tints): (&[f64], &[Option<Tint>]),
+        sites: &Sites,
     ) -> Vec<f64> {
         let slope_sigma = self.params.slope_sigma_rad;
         let prior = 1.0 / (slope_sigma * slope_sigma);
-        let of_sites: Vec<Matrix3<f64>> = in_tiles(albedo.len())
-            .map(|site| tilt_information(problem, (site, &sites.normals[site]), albedo[site]))
-            .collect();
+        // What its observations say of its tilt, per rad².
+        let of_site = |index: usize| -> Matrix3<f64> {
+            let normal = sites.normals[index];
+            let site = problem.site(surface, albedos, (index, normal), tints[index]);
+            let block = problem.sum_over_views::<3>(&site, |seen| seen.light() * -site.albedo);
+            block.jtj
+        };
+        let of_sites: Vec<Matrix3<f64>> = in_tiles(tints.len()).map(of_site).collect();
         let sums = match sites.kind {
             SiteKind::Face => {
                 let mesh = &surface.mesh;
@@ -150,23 +157,6 @@ impl Rounds<'_> {
         };
         sums.par_iter().zip(&normals).map(share).collect()
     }
-}
-
-/// What a site's observations say of its tilt: the weighted sum of squared derivatives by the normal, per rad².
-fn tilt_information(
-    problem: &Problem,
-    (site, normal): (usize, &Vector3<f64>),
-    albedo: f64,
-) -> Matrix3<f64> {
-    let mut information = Matrix3::zeros();
-    for seen in problem.observations.of(site) {
-        if let Some(residual) = seen.residual(normal, albedo) {
-            let weight = problem.loss.weight(residual) * f64::from(seen.covered);
-            let by_normal = seen.light() * albedo;
-            information += by_normal * by_normal.transpose() * weight;
-        }
-    }
-    information
 }
 
 /// The smaller eigenvalue of the information within the plane across a normal.
