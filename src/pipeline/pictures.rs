@@ -12,6 +12,7 @@ use crate::{
 };
 use depth_camera::Image;
 use rayon::prelude::*;
+use std::cmp::Ordering;
 
 /// Shading images shown at most; they are spread over the scan.
 const MAX_THUMBNAILS: usize = 12;
@@ -57,15 +58,15 @@ pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
 /// What is known of a refined mesh.
 fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
     let evidence = &refinement.evidence;
-    let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
     let n_views: Vec<f64> = evidence.n_views.iter().copied().map(f64::from).collect();
+    let most_views = n_views.iter().copied().fold(0.0, f64::max);
     let high_sigma_m = evidence.summary().high_sigma_m;
     let fields: [(_, &str, &[f64], f64, f64); 5] = [
         (
             "Albedo",
-            "That of the group to which the surface was given; one colour is one label.",
+            "That of the label to which the surface was given, times what a place of its own is brighter or darker by.",
             &refinement.albedo,
-            largest(&refinement.albedo),
+            white_level(&refinement.albedo, f64::total_cmp).unwrap_or(1.0),
             1.0,
         ),
         (
@@ -93,7 +94,7 @@ fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
             "Images",
             "How many shading images show the surface; where there is none it is as it was fused.",
             &n_views,
-            largest(&n_views),
+            most_views,
             1.0,
         ),
     ];
@@ -114,17 +115,17 @@ fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {
         snapshot.frame_id, snapshot.device_time_secs
     );
     let ir = &snapshot.ir_counts;
-    let mut counts = ir.data().to_vec();
-    let index = (counts.len() as f64 * (1.0 - WHITE_SHARE)) as usize;
-    let white = match counts.is_empty() {
-        true => 1.0,
-        false => counts
-            .select_nth_unstable_by(index, f32::total_cmp)
-            .1
-            .max(1.0),
-    };
+    let white = white_level(ir.data(), f32::total_cmp).map_or(1.0, |white| white.max(1.0));
     let grey = |&counts: &f32| (255.0 * (counts / white).clamp(0.0, 1.0)) as u8;
     (caption, ir.map(grey))
+}
+
+/// The value that no more than [`WHITE_SHARE`] of all exceed; `None` of none.
+fn white_level<T: Copy>(values: &[T], compare: impl Fn(&T, &T) -> Ordering) -> Option<T> {
+    let mut values = values.to_vec();
+    let index = (values.len() as f64 * (1.0 - WHITE_SHARE)) as usize;
+    let is_there = index < values.len();
+    is_there.then(|| *values.select_nth_unstable_by(index, compare).1)
 }
 
 /// Near is bright, no measurement black.
