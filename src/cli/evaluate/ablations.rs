@@ -108,6 +108,9 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
             params.self_calibration.enabled = false;
         }),
         with("one albedo", &|params| params.max_albedos = 1),
+        with("albedo of groups alone", &|params| {
+            params.albedo.tints = false
+        }),
         with("albedo groups by the paper's rule", &|params| {
             params.albedo = AlbedoParams {
                 mode: AlbedoMode::Paper,
