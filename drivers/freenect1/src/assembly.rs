@@ -16,8 +16,9 @@ use crate::{
 /// Buffers that are kept for use again: one is filled, one waits to be paired, the rest is on its way through the pipeline.
 const POOL_CAPACITY: usize = 16;
 
-/// IR whose stamp stands still goes alone until depth has brought so many images: its stamps move then, or never will. On a busy
-/// machine an image arrives as late as the next one, so that arrival pairs only where stamps never do.
+/// IR whose stamp stands still has no counterpart until depth has brought so many images; arbitrary. Its stamps move with the first
+/// of them, or never will. On a busy machine an image arrives as late as the next one, so that arrival pairs only where they
+/// never do.
 const N_DEPTH_UNTIL_STAMPS_MOVE: u64 = 3;
 
 /// One moment as the device delivers it, nothing decoded.
@@ -67,7 +68,7 @@ pub struct Statistics {
     pub depth: StreamStatistics,
     /// IR. A damaged image costs itself alone: its frame is delivered without it.
     pub ir: StreamStatistics,
-    /// IR images that were dropped because depth of the same moment did not come.
+    /// IR images that were dropped because depth of the same moment did not come, or because nothing told which one it was.
     pub n_ir_unpaired: u64,
     /// Frames that nobody fetched in time; newer ones took their place.
     pub n_overrun: u64,
@@ -94,7 +95,6 @@ struct Stream {
     last_heard: Option<Instant>,
     /// Since it was started.
     n_heard: u64,
-    newest_ticks: Option<u32>,
 }
 
 impl Stream {
@@ -108,7 +108,6 @@ impl Stream {
             statistics: StreamStatistics::default(),
             last_heard: None,
             n_heard: 0,
-            newest_ticks: None,
         }
     }
 
@@ -164,6 +163,8 @@ pub struct Assembler {
     pairing: Pairing<Exposure>,
     next_frame_id: u64,
     n_ir_unpaired: u64,
+    /// Stamp of the newest IR image since IR was started.
+    newest_ir_ticks: Option<u32>,
 }
 
 impl Default for Assembler {
@@ -175,6 +176,7 @@ impl Default for Assembler {
             pairing: Pairing::new(Running::One),
             next_frame_id: 0,
             n_ir_unpaired: 0,
+            newest_ir_ticks: None,
         }
     }
 }
@@ -189,6 +191,7 @@ impl Assembler {
     /// IR is about to be started.
     pub fn start_ir(&mut self, size: IrSize, now: Instant, emit: impl FnMut(Captured)) {
         self.ir.start(size.layout(), size.pixels(), now);
+        self.newest_ir_ticks = None;
         self.streams_changed(emit);
     }
 
@@ -251,7 +254,6 @@ impl Assembler {
         if let Some(damage) = given_up {
             self.depth_given_up(damage, &mut emit);
         }
-        self.depth.newest_ticks = Some(ticks);
         let exposure = Exposure {
             image,
             damage,
@@ -273,9 +275,12 @@ impl Assembler {
         let (image, damage, given_up) = self.ir.finish(host);
         given_up.iter().for_each(|damage| self.ir.count(damage));
         // The firmware stops these stamps while depth is off, and sets them going with depth's first frame.
-        let moves = self.ir.newest_ticks.replace(ticks) != Some(ticks);
-        let depth_runs = self.depth.last_heard.is_some() && self.depth.n_heard > 0;
-        let is_known = moves && depth_runs;
+        let before = self.newest_ir_ticks.replace(ticks);
+        let moves = match before {
+            Some(before) => before != ticks,
+            None => self.depth.n_heard > 0,
+        };
+        let is_known = moves && self.depth.last_heard.is_some();
         let ticks = is_known.then_some(ticks);
         let device_time_secs = match ticks {
             Some(ticks) => self.clock.at(ticks, host),

@@ -128,20 +128,36 @@ fn infrared_whose_stamps_stand_still_is_not_paired_by_arrival_before_they_can_mo
 }
 
 #[test]
+fn infrared_whose_stamps_move_is_paired_with_the_first_depth_that_comes_after_it() {
+    let (mut assembler, now) = started();
+    let at = |ms| now + Duration::from_millis(ms);
+    for n in 1..3 {
+        assert!(ir(&mut assembler, 2_000_000 * n, at(30), &[]).is_empty());
+    }
+    // Of the first nothing tells whether its stamp moves.
+    assert_eq!(assembler.statistics().n_ir_unpaired, 1);
+    let pair = the_frame(depth(&mut assembler, 4_000_000, at(90), &[]));
+    assert!(pair.disparity.is_some() && pair.ir.is_some());
+}
+
+#[test]
 fn infrared_whose_stamps_never_move_is_paired_by_arrival() {
     let (mut assembler, now) = started();
     let mut frames = Vec::new();
-    for n in 0..5_u64 {
+    for n in 0..6_u64 {
         let at = now + Duration::from_micros(33_333 * n);
         frames.extend(depth(&mut assembler, 2_000_000 * n as u32, at, &[]));
-        frames.extend(ir(&mut assembler, 7, at + Duration::from_millis(3), &[]));
+        let late = at + Duration::from_millis(3);
+        frames.extend(ir(&mut assembler, 40_000_000, late, &[]));
     }
-    let n_paired = frames
-        .iter()
-        .filter(|captured| matches!(captured, Captured::Frame(frame) if frame.ir.is_some()))
-        .count();
-    // The first stamp is new and fits; the second might still begin to move.
-    assert_eq!((n_paired, assembler.statistics().n_ir_unpaired), (4, 1));
+    let is_pair = |captured: &Captured| match captured {
+        Captured::Frame(frame) => frame.ir.is_some(),
+        Captured::Damaged { .. } => panic!("{captured:?}"),
+    };
+    let pairs: Vec<bool> = frames.iter().map(is_pair).collect();
+    // The first stamp is new, and the next one might still begin to move.
+    assert_eq!(pairs, [false, false, true, true, true, true]);
+    assert_eq!(assembler.statistics().n_ir_unpaired, 2);
 }
 
 #[test]

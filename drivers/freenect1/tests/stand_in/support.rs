@@ -119,14 +119,13 @@ pub fn next_whole(camera: &mut Freenect1Camera) -> RawFrame {
 
 /// The next whole frame that satisfies a condition.
 pub fn next_that(camera: &mut Freenect1Camera, satisfies: impl Fn(&RawFrame) -> bool) -> RawFrame {
-    first_that(|| camera.grab_raw(5 * SECOND), satisfies)
+    first_that(|| camera.grab_raw(5 * SECOND), satisfies, 30)
 }
 
 /// The next frame that holds depth and IR.
 pub fn next_pair(camera: &mut Freenect1Camera) -> RawFrame {
-    next_that(camera, |frame| {
-        frame.disparity.is_some() && frame.ir.is_some()
-    })
+    let is_pair = |frame: &RawFrame| frame.disparity.is_some() && frame.ir.is_some();
+    first_that(|| camera.grab_raw(5 * SECOND), is_pair, N_ALONE)
 }
 
 /// The same, decoded.
@@ -135,21 +134,28 @@ pub fn next_decoded_pair(camera: &mut Freenect1Camera) -> Frame {
         let frame = camera.grab(5 * SECOND)?;
         Ok(frame.expect("a device does not end"))
     };
-    first_that(grab, |frame| frame.depth.is_some() && frame.ir.is_some())
+    let is_pair = |frame: &Frame| frame.depth.is_some() && frame.ir.is_some();
+    first_that(grab, is_pair, N_ALONE)
 }
 
+/// Whole frames that may come one after the other without their counterpart: while streams begin, three.
+const N_ALONE: usize = 5;
+
+/// The first whole frame that satisfies, after so many at most that do not.
 fn first_that<T>(
     mut grab: impl FnMut() -> Result<T, CameraError>,
     satisfies: impl Fn(&T) -> bool,
+    n_others: usize,
 ) -> T {
-    for _ in 0..100 {
+    let mut n_seen = 0;
+    while n_seen <= n_others {
         match grab() {
             Ok(frame) if satisfies(&frame) => return frame,
-            Ok(_) => {}
+            Ok(_) => n_seen += 1,
             Err(error) => assert!(matches!(error, CameraError::DamagedFrame { .. }), "{error}"),
         }
     }
-    panic!("no such frame among a hundred");
+    panic!("no such frame after {n_others} others");
 }
 
 /// The first error that is not about a single frame, and how long it took to come.
