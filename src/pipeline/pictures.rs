@@ -12,12 +12,12 @@ use crate::{
 };
 use depth_camera::Image;
 use rayon::prelude::*;
-use std::cmp::Ordering;
 
 /// Shading images shown at most; they are spread over the scan.
 const MAX_THUMBNAILS: usize = 12;
-/// This share of the pixels is shown as white at most, so that a highlight does not darken the rest.
-const WHITE_SHARE: f64 = 0.005;
+/// This share of the pixels of an image, and of the albedos of a surface, is shown as the brightest at most, so that a highlight does
+/// not darken the rest.
+const BRIGHT_SHARE: f64 = 0.005;
 
 /// Draws all pictures of a scan.
 pub fn draw(scan: &FusedScan, refined: &RefineSummary) -> ReportPictures {
@@ -64,9 +64,10 @@ fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
     let fields: [(_, &str, &[f64], f64, f64); 5] = [
         (
             "Albedo",
-            "That of the label to which the surface was given, times what a place of its own is brighter or darker by.",
+            "That of the label to which the surface was given, times what a place of its own is brighter or darker by; \
+             the brightest in two hundred share a colour.",
             &refinement.albedo,
-            white_level(&refinement.albedo, f64::total_cmp).unwrap_or(1.0),
+            high_level(refinement.albedo.clone()).unwrap_or(1.0),
             1.0,
         ),
         (
@@ -115,17 +116,17 @@ fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {
         snapshot.frame_id, snapshot.device_time_secs
     );
     let ir = &snapshot.ir_counts;
-    let white = white_level(ir.data(), f32::total_cmp).map_or(1.0, |white| white.max(1.0));
+    let white = high_level(ir.data().iter().copied().map(f64::from).collect());
+    let white = white.map_or(1.0, |white| white.max(1.0)) as f32;
     let grey = |&counts: &f32| (255.0 * (counts / white).clamp(0.0, 1.0)) as u8;
     (caption, ir.map(grey))
 }
 
-/// The value that no more than [`WHITE_SHARE`] of all exceed; `None` of none.
-fn white_level<T: Copy>(values: &[T], compare: impl Fn(&T, &T) -> Ordering) -> Option<T> {
-    let mut values = values.to_vec();
-    let index = (values.len() as f64 * (1.0 - WHITE_SHARE)) as usize;
+/// The value that no more than [`BRIGHT_SHARE`] of all exceed; `None` of none.
+fn high_level(mut values: Vec<f64>) -> Option<f64> {
+    let index = (values.len() as f64 * (1.0 - BRIGHT_SHARE)) as usize;
     let is_there = index < values.len();
-    is_there.then(|| *values.select_nth_unstable_by(index, compare).1)
+    is_there.then(|| *values.select_nth_unstable_by(index, f64::total_cmp).1)
 }
 
 /// Near is bright, no measurement black.
@@ -141,4 +142,20 @@ fn depth_as_grey(depth: &Image<f32>) -> Image<u8> {
             0
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_bright_values_do_not_set_the_scale() {
+        let level = |n: usize, n_bright: usize| {
+            let bright = (0..n_bright).map(|_| 100.0);
+            high_level((0..n).map(|_| 1.0).chain(bright).collect())
+        };
+        assert_eq!(level(0, 0), None);
+        assert_eq!(level(1, 0), Some(1.0));
+        assert_eq!((level(996, 4), level(980, 20)), (Some(1.0), Some(100.0)));
+    }
 }
