@@ -8,12 +8,12 @@
 use super::MAX_VIEWS;
 use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
-use super::observations::{Observation, Observations};
+use super::observations::{Observation, Observations, Shown};
 use super::patches::Patch;
 use super::priors::PriorWeights;
 use super::sites::SiteKind;
 use super::surface::{Surface, normal_by_displacement, unit_normal};
-use super::tint::{Shown, Tint};
+use super::tint::Tint;
 use super::vertex_system::VertexSystem;
 use crate::geometry::{EdgeAdjacency, TriMesh};
 use crate::shading::Tukey;
@@ -151,8 +151,7 @@ impl Problem<'_> {
             let mut energy = 0.0;
             let of_site = |index| {
                 let normal = normals.unit(index)?;
-                self.show(surface, albedos, (index, normal), &mut shown);
-                let (own, tint) = self.energy_of(index, &shown);
+                let (own, tint) = self.energy_of(surface, albedos, (index, normal), &mut shown);
                 energy += own;
                 tint
             };
@@ -178,38 +177,43 @@ impl Problem<'_> {
         }
     }
 
-    /// What the views show of a site as it is now.
-    fn show(
+    /// What a site adds to the energy with a normal, and its tint if that follows the surface. `shown` is room for what its views show.
+    fn energy_of(
         &self,
         surface: &Surface,
         albedos: &[f64],
         (index, normal): (usize, Vector3<f64>),
         shown: &mut Vec<Shown>,
-    ) {
-        let group = albedos[self.labels[index] as usize];
+    ) -> (f64, Option<Tint>) {
+        let seen = self.observations.of(index);
         let moved_m = self.observations.moved_m(surface, index);
         shown.clear();
-        shown.extend(self.observations.of(index).iter().filter_map(|seen| {
-            let moved = seen.moved(moved_m);
-            Some(Shown {
-                observed: moved.observed(),
-                predicted: group * moved.unit_prediction(&normal)?,
-                covered: f64::from(seen.covered),
-            })
-        }));
-    }
-
-    /// What a site adds to the energy, with its tint if that follows the surface.
-    fn energy_of(&self, index: usize, shown: &[Shown]) -> (f64, Option<Tint>) {
-        let start = self.tints[index];
+        shown.extend(
+            seen.iter()
+                .filter_map(|seen| seen.moved(moved_m).shown(&normal)),
+        );
+        let (group, start) = (albedos[self.labels[index] as usize], self.tints[index]);
         let tint = match self.finds_tints {
-            true => Tint::best(shown, self.loss, start),
+            true => Tint::best(seen, shown, group, self.loss, start),
             false => None,
         };
-        let factor = tint.map_or(start, |tint| tint.factor);
-        let of_view = |view: &Shown| view.covered * self.loss.loss(view.residual(factor));
+        let albedo = group * tint.map_or(start, |tint| tint.factor);
+        let of_view = |view: &Shown| view.covered * self.loss.loss(view.residual(albedo));
         let data: f64 = shown.iter().map(of_view).sum();
         (data + tint.map_or(0.0, |tint| tint.energy()), tint)
+    }
+
+    /// Tints of a surface as far as they may not be shape: where too few views tell one, it is as it was thought to be, and no less free.
+    pub fn tints_apart(&self, surface: &Surface, albedos: &[f64]) -> Vec<Option<Tint>> {
+        let found = self.evaluate(surface, albedos).tints;
+        if !self.finds_tints {
+            return found;
+        }
+        let apart = |(index, found): (usize, Option<Tint>)| {
+            let seen = self.observations.of(index);
+            found.or_else(|| (!seen.is_empty()).then(|| Tint::untold(seen, self.tints[index])))
+        };
+        found.into_iter().enumerate().map(apart).collect()
     }
 
     /// The factors of tints that were found, and of the others as they were thought to be.
@@ -239,7 +243,7 @@ impl Problem<'_> {
     }
 
     /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held; `tints` are those that
-    /// [`Self::evaluate`] finds there.
+    /// [`Self::evaluate`] finds there, and follow the surface.
     pub fn linearise(
         &self,
         surface: &Surface,

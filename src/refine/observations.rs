@@ -88,6 +88,25 @@ impl Observation {
     }
 }
 
+/// What one view shows of a site that the light reaches, and what it would show for unit albedo.
+#[derive(Clone, Copy)]
+pub struct Shown {
+    /// Observed intensity, in its standard deviations.
+    pub observed: f64,
+    /// Predicted for unit albedo, in the same unit.
+    pub unit: f64,
+    /// As of [`Observation::covered`].
+    pub covered: f64,
+}
+
+impl Shown {
+    /// Eq. (6) of one view: observed less predicted intensity, in sigmas.
+    #[inline]
+    pub fn residual(&self, albedo: f64) -> f64 {
+        self.observed - albedo * self.unit
+    }
+}
+
 /// One site in one view, moved.
 pub struct Moved<'a> {
     seen: &'a Observation,
@@ -101,10 +120,20 @@ impl Moved<'_> {
         f64::from(self.seen.observed) + f64::from(self.seen.image_slope) * self.by_m
     }
 
+    /// What it shows; `None` where the surface faces away from the light.
+    #[inline]
+    pub fn shown(&self, normal: &Vector3<f64>) -> Option<Shown> {
+        Some(Shown {
+            observed: self.observed(),
+            unit: self.unit_prediction(normal)?,
+            covered: f64::from(self.seen.covered),
+        })
+    }
+
     /// As of [`Observation::residual`].
     #[inline]
     pub fn residual(&self, normal: &Vector3<f64>, albedo: f64) -> Option<f64> {
-        Some(self.observed() - albedo * self.unit_prediction(normal)?)
+        Some(self.shown(normal)?.residual(albedo))
     }
 
     /// Prediction for unit albedo, in sigmas; `None` where the surface faces away from the light.

@@ -10,7 +10,7 @@ use super::priors::PriorWeights;
 use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
-use super::solver::{Iteration, Minimum, RefineStatus, SolverParams, minimise};
+use super::solver::{Iteration, Minimum, RefineStatus, Solver, SolverParams};
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
@@ -160,20 +160,19 @@ impl Rounds<'_> {
             *albedo = next;
         }
         let problem = self.problem(&observations, albedo, loss);
-        let solver = SolverParams {
-            max_steps: self.max_steps(),
-            min_decrease: 1e-4,
-            max_step_m: 0.4 * self.level.edge_length_m,
+        let solver = Solver {
+            problem: &problem,
+            pattern: &self.level.pattern,
+            params: SolverParams {
+                max_steps: self.max_steps(),
+                min_decrease: 1e-4,
+                max_step_m: 0.4 * self.level.edge_length_m,
+            },
         };
         let mut groups = albedo.groups.clone();
-        let Minimum { status, tints } = minimise(
-            surface,
-            &mut groups,
-            &problem,
-            &self.level.pattern,
-            &solver,
-            |iteration| accepted(Iteration { round, ..iteration }),
-        );
+        let Minimum { status, tints } = solver.minimise(surface, &mut groups, |iteration| {
+            accepted(Iteration { round, ..iteration })
+        });
         let tints = problem.factors(&tints);
         albedo.repaint(groups, tints);
         status

@@ -7,7 +7,7 @@ use super::optics::Optics;
 use super::rounds::{final_loss, prior_weights, radius_about};
 use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
-use super::solver::{Pattern, SolverParams, minimise};
+use super::solver::{Pattern, Solver, SolverParams};
 use super::surface::Surface;
 use super::view::{ImageTrust, View, ViewContext};
 use super::{RefineParams, patches};
@@ -308,9 +308,12 @@ pub fn solved(
 ) -> (Surface, f64) {
     with_problem(hidden, mesh, params, |problem, mut surface, pattern| {
         let mut albedos = vec![albedo];
-        minimise(&mut surface, &mut albedos, problem, pattern, solver, |_| {
-            true
-        });
+        let solver = Solver {
+            problem,
+            pattern,
+            params: *solver,
+        };
+        solver.minimise(&mut surface, &mut albedos, |_| true);
         (surface, albedos[0])
     })
 }

@@ -305,117 +305,127 @@ pub struct Minimum {
     pub tints: Vec<Option<Tint>>,
 }
 
-/// Lowers the energy by the surface and the groups' albedos together; it never rises. Brightness tells a darker material from
-/// a steeper slope by the slopes that depth holds, which neither finds with the other one fixed.
-pub fn minimise(
-    surface: &mut Surface,
-    albedos: &mut Vec<f64>,
-    problem: &Problem,
-    pattern: &Pattern,
-    params: &SolverParams,
-    mut accepted: impl FnMut(Iteration) -> bool,
-) -> Minimum {
-    let mut now = problem.evaluate(surface, albedos);
-    let mut damping = 1e-4;
-    let mut status = RefineStatus::IterationLimit;
-    for _ in 0..params.max_steps {
-        let start = (&*surface, &albedos[..], &now);
-        let next = match lower(start, problem, pattern, params, &mut damping) {
-            Ok(next) => next,
-            Err(ended) => {
-                status = ended;
-                break;
-            }
-        };
-        let iteration = Iteration {
-            round: 0,
-            energy_before: now.energy,
-            energy_after: next.evaluation.energy,
-            damping,
-            max_step_m: next.max_step_m,
-        };
-        (*surface, *albedos) = (next.surface, next.albedos);
-        now = next.evaluation;
-        if !accepted(iteration) {
-            status = RefineStatus::Cancelled;
-            break;
-        }
-        damping = (damping * 0.1).max(1e-8);
-        let decrease = (iteration.energy_before - now.energy) / iteration.energy_before;
-        if decrease < params.min_decrease {
-            status = RefineStatus::Converged;
-            break;
-        }
-    }
-    Minimum {
-        status,
-        tints: now.tints,
-    }
+/// What is minimised, and how.
+pub struct Solver<'a> {
+    /// The energy.
+    pub problem: &'a Problem<'a>,
+    /// The pattern of its normal equations.
+    pub pattern: &'a Pattern,
+    /// Bounds.
+    pub params: SolverParams,
 }
 
-/// What one step leads to.
-struct Lowered {
+/// A surface and albedos that a step leads to.
+struct Trial {
     surface: Surface,
     albedos: Vec<f64>,
     evaluation: Evaluation,
     max_step_m: f64,
+    /// Of its step.
+    damping: f64,
 }
 
-/// A step that lowers the energy, damped as far as it must be; how it ends where there is none.
-fn lower(
-    (surface, albedos, now): (&Surface, &[f64], &Evaluation),
-    problem: &Problem,
-    pattern: &Pattern,
-    params: &SolverParams,
-    damping: &mut f64,
-) -> Result<Lowered, RefineStatus> {
-    const MAX_DAMPING: f64 = 1e6;
-    let matrix = problem.linearise(surface, albedos, &now.tints, &pattern.couplings);
-    loop {
-        let ended = match pattern.solve(problem, &matrix, *damping) {
-            Some(step) => {
-                let next = take(surface, albedos, problem, params, step);
-                if next.evaluation.energy < now.energy {
-                    return Ok(next);
+impl Solver<'_> {
+    /// Lowers the energy by the surface and the groups' albedos together; it never rises. Brightness tells a darker material from
+    /// a steeper slope by the slopes that depth holds, which neither finds with the other one fixed.
+    pub fn minimise(
+        &self,
+        surface: &mut Surface,
+        albedos: &mut Vec<f64>,
+        mut accepted: impl FnMut(Iteration) -> bool,
+    ) -> Minimum {
+        let mut now = self.problem.evaluate(surface, albedos);
+        let mut damping = 1e-4;
+        let mut status = RefineStatus::IterationLimit;
+        for _ in 0..self.params.max_steps {
+            let next = match self.descend(surface, albedos, &now, damping) {
+                Ok(next) => next,
+                Err(ended) => {
+                    status = ended;
+                    break;
                 }
-                RefineStatus::Stalled
+            };
+            let iteration = Iteration {
+                round: 0,
+                energy_before: now.energy,
+                energy_after: next.evaluation.energy,
+                damping: next.damping,
+                max_step_m: next.max_step_m,
+            };
+            (*surface, *albedos) = (next.surface, next.albedos);
+            now = next.evaluation;
+            damping = (next.damping * 0.1).max(1e-8);
+            if !accepted(iteration) {
+                status = RefineStatus::Cancelled;
+                break;
             }
-            None => RefineStatus::Singular,
-        };
-        *damping *= 10.0;
-        if *damping > MAX_DAMPING {
-            return Err(ended);
+            let decrease = (iteration.energy_before - now.energy) / iteration.energy_before;
+            if decrease < self.params.min_decrease {
+                status = RefineStatus::Converged;
+                break;
+            }
+        }
+        Minimum {
+            status,
+            tints: now.tints,
         }
     }
-}
 
-/// The surface and albedos after a step, which is held within its bounds.
-fn take(
-    surface: &Surface,
-    albedos: &[f64],
-    problem: &Problem,
-    params: &SolverParams,
-    step: Step,
-) -> Lowered {
-    let Step {
-        mut displacement,
-        log_albedo,
-    } = step;
-    for value in &mut displacement {
-        *value = value.clamp(-params.max_step_m, params.max_step_m);
+    /// A step that lowers the energy, damped at least so much and as far as it must be; how it ends where there is none.
+    fn descend(
+        &self,
+        surface: &Surface,
+        albedos: &[f64],
+        now: &Evaluation,
+        mut damping: f64,
+    ) -> Result<Trial, RefineStatus> {
+        const MAX_DAMPING: f64 = 1e6;
+        let Solver {
+            problem, pattern, ..
+        } = self;
+        let matrix = problem.linearise(surface, albedos, &now.tints, &pattern.couplings);
+        loop {
+            let ended = match pattern.solve(problem, &matrix, damping) {
+                Some(step) => {
+                    let trial = self.take(surface, albedos, step, damping);
+                    if trial.evaluation.energy < now.energy {
+                        return Ok(trial);
+                    }
+                    RefineStatus::Stalled
+                }
+                None => RefineStatus::Singular,
+            };
+            damping *= 10.0;
+            if damping > MAX_DAMPING {
+                return Err(ended);
+            }
+        }
     }
-    hold_back_flips(surface, &mut displacement);
-    let surface = surface.displaced(&displacement);
-    let change = |by: &f64| by.clamp(-MAX_ALBEDO_STEP, MAX_ALBEDO_STEP).exp();
-    let pairs = albedos.iter().zip(&log_albedo);
-    let albedos: Vec<f64> = pairs.map(|(albedo, by)| albedo * change(by)).collect();
-    Lowered {
-        evaluation: problem.evaluate(&surface, &albedos),
-        max_step_m: displacement
-            .iter()
-            .fold(0.0, |max: f64, step| max.max(step.abs())),
-        surface,
-        albedos,
+
+    /// Takes a step, held within its bounds.
+    fn take(&self, surface: &Surface, albedos: &[f64], step: Step, damping: f64) -> Trial {
+        let Step {
+            mut displacement,
+            log_albedo,
+        } = step;
+        let bound = self.params.max_step_m;
+        for value in &mut displacement {
+            *value = value.clamp(-bound, bound);
+        }
+        hold_back_flips(surface, &mut displacement);
+        let surface = surface.displaced(&displacement);
+        let change = |by: &f64| by.clamp(-MAX_ALBEDO_STEP, MAX_ALBEDO_STEP).exp();
+        let pairs = albedos.iter().zip(&log_albedo);
+        let albedos: Vec<f64> = pairs.map(|(albedo, by)| albedo * change(by)).collect();
+        Trial {
+            evaluation: self.problem.evaluate(&surface, &albedos),
+            max_step_m: displacement
+                .iter()
+                .fold(0.0, |max: f64, step| max.max(step.abs())),
+            surface,
+            albedos,
+            damping,
+        }
     }
 }
 

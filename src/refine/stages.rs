@@ -104,7 +104,7 @@ impl Stages {
         albedo.map(|albedo| albedo.groups)
     }
 
-    /// The robust energy of Eq. (5): every residual once.
+    /// The robust energy of Eq. (5), every residual once, and the tints that it is least for.
     pub fn energy(&self) -> f64 {
         self.evaluate().energy
     }
@@ -116,7 +116,7 @@ impl Stages {
         self.problem().evaluate(surface, &albedo.groups)
     }
 
-    /// Residuals, their derivatives, and the normal equations.
+    /// Residuals, their derivatives, and the normal equations; the tints are found with the energy.
     pub fn linearise(&self) -> NormalMatrix {
         let pattern = &self.prepared.finest().level.pattern;
         self.problem().linearise(

@@ -8,6 +8,7 @@
 //! share to all views, as light over other surfaces does, no longer turns the surface either.
 
 use super::energy::Block;
+use super::observations::{Observation, Shown};
 use crate::shading::Tukey;
 
 /// By which factor the albedo of a site differs from its group's, where its views tell.
@@ -15,7 +16,7 @@ use crate::shading::Tukey;
 pub struct Tint {
     /// The factor.
     pub factor: f64,
-    /// Pixels of all views that tell it.
+    /// Pixels of all views that see the site.
     n_told: f64,
 }
 
@@ -32,43 +33,27 @@ const STEPS: usize = 4;
 /// No site is darker or brighter than its group by more than this factor.
 const MAX_FACTOR: f64 = 5.0;
 
-/// What one view shows of a site, and what it would show with a tint of 1.
-#[derive(Clone, Copy)]
-pub struct Shown {
-    /// Observed intensity, in its standard deviations.
-    pub observed: f64,
-    /// Predicted by the group's albedo, in the same unit.
-    pub predicted: f64,
-    /// How much the site counts.
-    pub covered: f64,
-}
-
-impl Shown {
-    /// Observed less predicted intensity with a tint, in sigmas.
-    #[inline]
-    pub fn residual(&self, factor: f64) -> f64 {
-        self.observed - factor * self.predicted
-    }
-}
-
 impl Tint {
-    /// That for which the energy of a site is about least, if views enough show it. `start` is the factor that residuals are first
-    /// weighted by.
-    pub fn best(shown: &[Shown], loss: Tukey, start: f64) -> Option<Tint> {
-        if shown.len() < MIN_VIEWS {
+    /// That for which the energy of a site is about least, if views enough see it: by what those `shown` of them show that the light
+    /// reaches, and in a group of this albedo. `start` is the factor that residuals are first weighted by.
+    pub fn best(
+        seen: &[Observation],
+        shown: &[Shown],
+        group: f64,
+        loss: Tukey,
+        start: f64,
+    ) -> Option<Tint> {
+        if seen.len() < MIN_VIEWS {
             return None;
         }
-        let mut tint = Tint {
-            factor: start,
-            n_told: shown.iter().map(|view| view.covered).sum(),
-        };
+        let mut tint = Tint::untold(seen, start);
         for iteration in 0..ITERATIONS {
-            let factor = tint.factor;
-            let (mut n, mut d) = sums(shown, |view| loss.weight(view.residual(factor)));
+            let albedo = group * tint.factor;
+            let (mut n, mut d) = sums(shown, group, |view| loss.weight(view.residual(albedo)));
             if iteration == 0 {
                 if d <= 0.0 {
                     // All of them are outliers to what it was thought to be.
-                    (n, d) = sums(shown, |_| loss.weight(0.0));
+                    (n, d) = sums(shown, group, |_| loss.weight(0.0));
                 }
                 // What is printed is not held back by that either.
                 tint.factor = n / d;
@@ -85,6 +70,14 @@ impl Tint {
             }
         }
         Some(tint)
+    }
+
+    /// That of a site of which it is not told: as it was thought to be, and held no less than where it is.
+    pub fn untold(seen: &[Observation], factor: f64) -> Tint {
+        Tint {
+            factor,
+            n_told: seen.iter().map(|view| f64::from(view.covered)).sum(),
+        }
     }
 
     /// What it adds to the energy.
@@ -109,15 +102,13 @@ impl Tint {
     }
 }
 
-/// Numerator and denominator of the tint that weighted views tell.
-fn sums(shown: &[Shown], weight: impl Fn(&Shown) -> f64) -> (f64, f64) {
-    shown.iter().fold((0.0, 0.0), |(n, d), view| {
-        let by_predicted = weight(view) * view.covered * view.predicted;
-        (
-            n + by_predicted * view.observed,
-            d + by_predicted * view.predicted,
-        )
-    })
+/// Numerator and denominator of the tint that weighted views tell, in a group of this albedo.
+fn sums(shown: &[Shown], group: f64, weight: impl Fn(&Shown) -> f64) -> (f64, f64) {
+    let (n, d) = shown.iter().fold((0.0, 0.0), |(n, d), view| {
+        let by_unit = weight(view) * view.covered * view.unit;
+        (n + by_unit * view.observed, d + by_unit * view.unit)
+    });
+    (group * n, group * group * d)
 }
 
 impl<const N: usize> Block<N> {

@@ -216,7 +216,7 @@ impl VertexSystem {
 }
 
 impl Terms {
-    /// Of a vertex, by how much of whose unit normal's turn the change of `N` over the size of its faces is.
+    /// Of a vertex; `per_turn` is by how much its unit normal turns with the change of `N` over the size of its faces.
     fn new(problem: &Problem, site: &Site, per_turn: f64) -> Terms {
         let normal = site.normal;
         let block = problem.sum_over_views::<4>(site, |seen| {
