@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
 use depth_camera::CameraError;
 
 use crate::{
@@ -75,8 +75,11 @@ impl Control {
         command: Command,
         answered: &Receiver<Result<T, CameraError>>,
     ) -> Result<T, CameraError> {
-        if self.commands.send_timeout(command, CALL_LIMIT).is_err() {
-            return Err(self.stuck().unwrap_or_else(ended));
+        match self.commands.send_timeout(command, CALL_LIMIT) {
+            Ok(()) => {}
+            Err(SendTimeoutError::Timeout(_)) => return Err(self.stuck().unwrap_or_else(ended)),
+            // What it did last was to close the device, however long ago.
+            Err(SendTimeoutError::Disconnected(_)) => return Err(ended()),
         }
         loop {
             match answered.recv_timeout(LOOK_INTERVAL) {

@@ -1,5 +1,6 @@
 //! Devices that are slow, silent, stuck, held by another, or not ours to open.
 
+use std::thread;
 use std::time::{Duration, Instant};
 
 use depth_camera::CameraError;
@@ -68,6 +69,11 @@ fn a_stream_that_stops_by_itself_is_an_error() {
             next_whole(&mut camera);
             raise(root, "silent-depth");
             assert_silent(&mut camera, "depth", "the last one");
+            // Longer than a call to the device may take: it has none any more.
+            thread::sleep(Duration::from_millis(2500));
+            let error = camera.control().set_streams(Streams::Ir).unwrap_err();
+            let expected = CameraError::Unresponsive("its thread has ended".to_owned());
+            assert_eq!(error, expected);
         },
     );
 }
