@@ -8,9 +8,9 @@
 //!
 //! Where sites are at vertices, the normal matrix here is the bound that couples by edges alone.
 //!
-//! Not covered: errors that all views share, such as those of the calibration, and a wrong albedo of a whole group. Sigma is therefore one of
-//! detail: on a scan with known truth it puts vertices in the order of their errors, and lies within a factor of two of the error
-//! of their detail, while the slow shape was off by four times as much.
+//! Not covered: errors that all views share, such as those of the calibration, and a wrong albedo of a whole group. Sigma is
+//! therefore one of detail: on a scan with known truth it puts vertices in the order of their errors, and lies between the error
+//! of their detail and the whole one, in which the slow shape is.
 
 use super::energy::{Problem, in_tiles};
 use super::rounds::{Rounds, State, final_loss};
