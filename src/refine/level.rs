@@ -8,10 +8,10 @@ use super::couplings::Couplings;
 use super::error::RefineError;
 use super::params::RefineParams;
 use super::patches::{self, Patch};
+use super::pattern::Pattern;
 use super::remesh::{RemeshParams, Subdivided, remesh, subdivide};
 use super::rounds::State;
 use super::sites::SiteKind;
-use super::solver::Pattern;
 use super::surface::Surface;
 use crate::geometry::{EdgeAdjacency, TriMesh, TriangleBvh};
 
