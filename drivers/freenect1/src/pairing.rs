@@ -1,7 +1,8 @@
 //! Depth and IR images of one exposure, which arrive one after the other.
 //!
 //! While both streams run, images belong together whose stamps lie within half a frame. The stamps of IR stand still while depth
-//! is off and until its first image is there, and what comes then has no counterpart. Where they stand still for good, arrival decides, by the host's clock.
+//! is off and until its first image is there, and what comes then has no counterpart. Where they stand still for good, arrival
+//! decides, by the host's clock.
 
 use std::time::{Duration, Instant};
 
