@@ -19,6 +19,10 @@ use pulp::Arch;
 /// Below this share of valid pixels a frame is taken for empty; arbitrary, speckle of a covered Kinect I stays below.
 const MIN_VALID_SHARE: f64 = 0.02;
 
+/// A frame of which a smaller share of pixels has a normal shows specks, no surface; arbitrary, an object alone in the working
+/// range has several times as much.
+const MIN_SURFACE_SHARE: f64 = 0.005;
+
 /// A camera with the frame that it took last.
 #[derive(Clone, Debug)]
 pub struct Eye {
@@ -100,6 +104,13 @@ impl Eye {
             self.range,
             map,
         );
+    }
+
+    /// Whether the frame in hand shows surface on a reduced level, and not specks alone.
+    pub fn sees_surface(&self, level: usize) -> bool {
+        let normals = &self.level(level).normals[2];
+        let n_there = normals.iter().filter(|&&z| z < 0.0).count();
+        n_there as f64 >= MIN_SURFACE_SHARE * normals.len() as f64
     }
 
     /// A reduced level of the frame in hand, the finest first.

@@ -214,7 +214,8 @@ impl Fusion {
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> TrackingOutcome {
-        if !self.eye.take(depth) {
+        // A first frame without surface would be a model that no later one is found in.
+        if !self.eye.take(depth) || (self.model.is_none() && !self.eye.sees_surface(MODEL_LEVEL)) {
             self.interrupt();
             return TrackingOutcome::NoDepth;
         }

@@ -69,8 +69,10 @@ impl Points {
         }
         let (mut x, mut y, z) = (load(&level.rays.x), load(&level.rays.y), load(&level.depth));
         for i in 0..LANES {
-            x[i] *= z[i];
-            y[i] *= z[i];
+            // Where the lens has no ray, nothing is measured: a weight of zero would not make a number of what is none.
+            let is_there = z[i] > 0.0;
+            x[i] = if is_there { x[i] * z[i] } else { 0.0 };
+            y[i] = if is_there { y[i] * z[i] } else { 0.0 };
         }
         Some(Points {
             point: [x, y, z],

@@ -1,8 +1,8 @@
 //! Tracking and fusion against the simulated camera's truth.
 
 use super::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
-use crate::geometry::{CameraModel, Pose, increment, motion_between};
-use depth_camera::{DepthCamera, Frame, Image, Sensor};
+use crate::geometry::{CameraModel, Pose, RayGrid, increment, motion_between};
+use depth_camera::{DepthCamera, Frame, Image, Intrinsics, Sensor};
 use nalgebra::Vector6;
 use simulated::SimulatedCamera;
 use std::time::Duration;
@@ -76,6 +76,52 @@ fn poses_follow_the_truth_and_do_not_depend_on_threads() {
         // two noisy frames have fused hardly holds it.
         assert!(off.translation_m < 0.004, "{off:?}");
         assert!(off.rotation_rad < 0.01, "{off:?}");
+    }
+}
+
+#[test]
+fn pixels_without_a_ray_cost_nothing_but_themselves() {
+    let (frames, _, camera) = frames(4);
+    // A lens that bends inwards so much that no ray reaches the corners; what is measured elsewhere stays near.
+    let intrinsics = Intrinsics {
+        k1: -0.6,
+        k2: 0.0,
+        k3: 0.0,
+        ..*camera.intrinsics()
+    };
+    let camera = CameraModel::new(intrinsics);
+    let rays = RayGrid::new(camera);
+    let has_none = |ray: &&[f32; 2]| ray[0].is_nan();
+    let n_none = rays.rays().data().iter().filter(has_none).count();
+    assert!(n_none > 100, "{n_none}");
+    let mut fusion = fusion(camera);
+    for frame in &frames {
+        let outcome = fuse(&mut fusion, frame);
+        assert!(
+            matches!(outcome, TrackingOutcome::Tracked { .. }),
+            "frame {}: {outcome:?}",
+            frame.frame_id
+        );
+    }
+}
+
+#[test]
+fn a_first_frame_of_specks_is_no_model() {
+    let (frames, _, camera) = frames(3);
+    let mut fusion = fusion(camera);
+    let depth = frames[0].depth.as_ref().expect("Kinect II");
+    // One pixel in 25, which is more than an empty frame has.
+    let specks = (0..depth.data().len()).map(|i| {
+        let (u, v) = (i % depth.width(), i / depth.width());
+        if u % 5 == 0 && v % 5 == 0 { 0.8 } else { 0.0 }
+    });
+    let specks = Image::from_vec(depth.width(), depth.height(), specks.collect());
+    assert_eq!(fusion.fuse(&specks, 0.0), TrackingOutcome::NoDepth);
+    for frame in &frames {
+        assert!(matches!(
+            fuse(&mut fusion, frame),
+            TrackingOutcome::Tracked { .. }
+        ));
     }
 }
 
