@@ -85,7 +85,7 @@ pub use params::FusionParams;
 pub use polish::PolishParams;
 pub use pose_correction::PoseCorrection;
 pub use raycast::ModelMap;
-pub use rolling_shutter::{RollingShutter, velocities};
+pub use rolling_shutter::{RollingShutter, Waypoint, velocities};
 pub use steps::{FusionStep, OnStep};
 pub use surface_patch::{LatticeEdge, SurfacePatch};
 

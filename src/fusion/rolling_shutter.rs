@@ -54,9 +54,9 @@ impl RollingShutter {
         rays: &RayGrid,
     ) -> Option<Self> {
         let cells = frame_patches::cells(rays);
-        let path: Vec<(f64, Pose)> = frames
+        let path: Vec<Waypoint> = frames
             .iter()
-            .map(|frame| (frame.time_secs, frame.world_from_camera))
+            .map(|frame| Waypoint::of(frame, frame.world_from_camera))
             .collect();
         let velocities = velocities(&path);
         let patches = frame_patches::of_frames(frames, volume, rays, &cells, MAX_DISTANCE_M)?;
@@ -77,14 +77,18 @@ impl RollingShutter {
             "rolling shutter: what one half of the frames explains of the other"
         );
         (explained >= MIN_EXPLAINED && readout_secs >= MIN_READOUT_SECS)
-            .then_some(RollingShutter { readout_secs })
+            .then_some(RollingShutter::within_bound(readout_secs))
+    }
+
+    fn within_bound(readout_secs: f64) -> Self {
+        RollingShutter {
+            readout_secs: readout_secs.min(MAX_READOUT_SECS),
+        }
     }
 
     /// The shutter of which this one was measured after that `further` time had been left over.
     pub fn plus(&self, further: &RollingShutter) -> Self {
-        RollingShutter {
-            readout_secs: (self.readout_secs + further.readout_secs).min(MAX_READOUT_SECS),
-        }
+        Self::within_bound(self.readout_secs + further.readout_secs)
     }
 
     /// A depth image (metres, 0 is none) as it would be had all rows been read with the middle one, by a camera that moves with
@@ -115,24 +119,56 @@ impl RollingShutter {
     }
 }
 
-/// The velocity of a camera at each of its poses (seconds, world from camera, in order of time), by the neighbours in time: turn
-/// (rad/s) and shift (m/s) in the camera's frame. None is known where frames are missing.
-pub fn velocities(path: &[(f64, Pose)]) -> Vec<Vector6<f64>> {
-    let is_near = |a: usize, b: usize| path[b].0 - path[a].0 <= STEADY_SECS;
+/// Where a camera was at a time of its path.
+#[derive(Clone, Copy, Debug)]
+pub struct Waypoint {
+    time_secs: f64,
+    /// Its pose.
+    pub world_from_camera: Pose,
+    /// Which stretch of unbroken tracking it belongs to.
+    stretch: usize,
+}
+
+impl Waypoint {
+    /// A frame that was fused, at the pose that it has by now.
+    pub fn of(frame: &Keyframe, world_from_camera: Pose) -> Self {
+        Waypoint {
+            time_secs: frame.time_secs,
+            world_from_camera,
+            stretch: frame.stretch,
+        }
+    }
+}
+
+/// Frames are missing where two are farther apart in time than the others by this factor.
+const GAP_FACTOR: f64 = 1.5;
+
+/// The velocity of a camera at each place of its path, in order of time, by the neighbours in time: turn (rad/s) and shift (m/s) in the
+/// camera's frame. None is known where frames are missing, and across a break of tracking. Of a long scan every second, fourth or
+/// eighth frame is kept; none of these is missing.
+pub fn velocities(path: &[Waypoint]) -> Vec<Vector6<f64>> {
+    let passed_secs = |a: usize, b: usize| path[b].time_secs - path[a].time_secs;
+    let mut steps: Vec<f64> = (1..path.len()).map(|b| passed_secs(b - 1, b)).collect();
+    steps.sort_by(f64::total_cmp);
+    let usual_secs = steps.get(steps.len().saturating_sub(1) / 2);
+    let longest_secs = usual_secs.map_or(0.0, |usual| (GAP_FACTOR * usual).max(STEADY_SECS));
+    let is_near = |a: usize, b: usize| {
+        path[a].stretch == path[b].stretch && passed_secs(a, b) <= longest_secs
+    };
     let at = |index: usize| {
         let before = index
             .checked_sub(1)
             .filter(|&before| is_near(before, index));
         let after = Some(index + 1).filter(|&after| after < path.len() && is_near(index, after));
-        let ((start, from), (end, to)) =
-            (path[before.unwrap_or(index)], path[after.unwrap_or(index)]);
-        if end <= start {
+        let (start, end) = (before.unwrap_or(index), after.unwrap_or(index));
+        let passed = passed_secs(start, end);
+        if passed <= 0.0 {
             return Vector6::zeros();
         }
+        let [from, here, to] = [start, index, end].map(|at| &path[at].world_from_camera);
         let turn = (from.rotation.inverse() * to.rotation).scaled_axis();
-        let shift =
-            path[index].1.rotation.inverse() * (to.translation.vector - from.translation.vector);
-        Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z) / (end - start)
+        let shift = here.rotation.inverse() * (to.translation.vector - from.translation.vector);
+        Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z) / passed
     };
     (0..path.len()).map(at).collect()
 }
@@ -316,26 +352,28 @@ mod tests {
         let rays = RayGrid::new(camera);
         let noise = DepthNoise::of_sensor(Sensor::Kinect1);
         let mut fusion = Fusion::new(camera, noise, small_params());
-        let path: Vec<(f64, Pose)> = truth
+        let path: Vec<Waypoint> = truth
             .iter()
             .enumerate()
-            .map(|(k, pose)| (k as f64 * FRAME_SECS, *pose))
+            .map(|(k, pose)| Waypoint {
+                time_secs: k as f64 * FRAME_SECS,
+                world_from_camera: *pose,
+                stretch: 0,
+            })
             .collect();
         let undone = RollingShutter {
             readout_secs: -readout_secs,
         };
         let mut keyframes = Vec::new();
-        for ((frame, (time_secs, pose)), velocity) in
-            frames.iter().zip(&path).zip(velocities(&path))
-        {
+        for ((frame, at), velocity) in frames.iter().zip(&path).zip(velocities(&path)) {
             let depth = frame.depth.as_ref().expect("Kinect II");
-            fusion.fuse_at(depth, *time_secs, pose);
+            fusion.fuse_at(depth, at.time_secs, &at.world_from_camera);
             let read = undone.corrected(depth, &velocity, &rays, &noise);
             keyframes.push(Keyframe {
                 depth: PackedDepth::pack(read.data(), depth.width(), 1.5),
-                time_secs: *time_secs,
-                world_from_camera: *pose,
-                stretch: 0,
+                time_secs: at.time_secs,
+                world_from_camera: at.world_from_camera,
+                stretch: at.stretch,
             });
         }
         RollingShutter::measure(&keyframes, &fusion.volume, &rays)
@@ -359,14 +397,34 @@ mod tests {
         assert_eq!(measured(-READOUT.readout_secs), None);
     }
 
-    #[test]
-    fn no_velocity_is_known_across_missing_frames() {
-        let at = |secs: f64, x: f64| (secs, Pose::translation(x, 0.0, 0.0));
-        let path = [at(0.0, 0.0), at(0.1, 0.01), at(1.0, 1.0)];
-        let shifts: Vec<f64> = velocities(&path)
+    /// Shifts along x (m/s) of a camera that is at places along x (m) at times (s), of stretches.
+    fn shifts(path: &[(f64, f64, usize)]) -> Vec<f64> {
+        let path: Vec<Waypoint> = path
             .iter()
-            .map(|v| (1e9 * v[3]).round() * 1e-9)
+            .map(|&(time_secs, x, stretch)| Waypoint {
+                time_secs,
+                world_from_camera: Pose::translation(x, 0.0, 0.0),
+                stretch,
+            })
             .collect();
-        assert_eq!(shifts, [0.1, 0.1, 0.0]);
+        let along_x = |v: &Vector6<f64>| (1e9 * v[3]).round() * 1e-9;
+        velocities(&path).iter().map(along_x).collect()
+    }
+
+    #[test]
+    fn no_velocity_is_known_across_missing_frames_and_breaks_of_tracking() {
+        let missing = [(0.0, 0.0, 0), (0.1, 0.01, 0), (1.0, 1.0, 0)];
+        assert_eq!(shifts(&missing), [0.1, 0.1, 0.0]);
+        let broken = [(0.0, 0.0, 0), (0.1, 0.01, 0), (0.2, 0.5, 2), (0.3, 0.51, 2)];
+        assert_eq!(shifts(&broken), [0.1; 4]);
+    }
+
+    #[test]
+    fn of_a_long_scan_whose_frames_are_thinned_velocities_are_known() {
+        let thinned: Vec<_> = (0..5)
+            .map(|k| (0.27 * f64::from(k), 0.027 * f64::from(k), 0))
+            .collect();
+        assert_eq!(shifts(&thinned), [0.1; 5]);
+        assert_eq!(shifts(&thinned[..1]), [0.0]);
     }
 }

@@ -4,7 +4,7 @@
 use crate::{
     fusion::{
         DepthField, DepthNoise, Fusion, FusionParams, GoesOn, PoseCorrection, RollingShutter,
-        TrackingOutcome, Work, velocities,
+        TrackingOutcome, Waypoint, Work, velocities,
     },
     geometry::{CameraModel, Motion, Pose, RayGrid},
     interreflection::WhiteLevel,
@@ -370,14 +370,14 @@ impl DepthCorrection {
         let mut knots = Vec::new();
         let mut n_lost = 0;
         let frames = original.keyframes();
-        let path: Vec<(f64, Pose)> = frames
+        let path: Vec<Waypoint> = frames
             .iter()
             .map(|frame| {
                 let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
                 let here = revised.map_or(*tracked, |revised| {
                     revised.correction.apply(time_secs, tracked)
                 });
-                (time_secs, here)
+                Waypoint::of(frame, here)
             })
             .collect();
         let velocities = velocities(&path);
@@ -390,7 +390,7 @@ impl DepthCorrection {
                 return None;
             }
             let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
-            let (_, before) = path[n_done];
+            let before = path[n_done].world_from_camera;
             let mut depth = self.anew(&frame.depth_m(), time_secs, &before, model, &known);
             if let Some(shutter) = &known.shutter {
                 depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
