@@ -148,6 +148,11 @@ fn share(status: &Status) -> (u64, Option<u64>) {
 
 /// What the pipeline is doing, in one line.
 fn sentence(status: &Status) -> String {
+    if let (Phase::Capturing | Phase::Meshing, Some(improvement)) =
+        (status.phase, status.improvement)
+    {
+        return improving(improvement);
+    }
     match status.phase {
         Phase::Capturing => {
             let of = status
@@ -163,9 +168,7 @@ fn sentence(status: &Status) -> String {
                 status.snapshots.accepted
             )
         }
-        Phase::Meshing => status
-            .improvement
-            .map_or_else(|| "extracting the base mesh".to_owned(), improving),
+        Phase::Meshing => "extracting the base mesh".to_owned(),
         Phase::Refining if status.refinement.n_steps == 0 => "refining: preparing".to_owned(),
         Phase::Refining => format!(
             "refining: round {} of {}, step {}, energy at {:.1} % of the start",
@@ -194,6 +197,7 @@ fn improving(improvement: Improvement) -> String {
         Work::CloseLoops => of("closing loops: frame"),
         Work::FuseWhole => of("completing the model: frame"),
         Work::SeparateThinParts => of("separating thin parts: frame"),
+        Work::TakeBack => of("taking frames back: fusing again frame"),
     }
 }
 

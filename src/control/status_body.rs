@@ -48,11 +48,11 @@ pub struct StatusBody {
     pub daemon: DaemonBody,
 }
 
-/// What is done to a scan at its end.
+/// What is done to a scan at its end, or when frames are taken back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct ImprovementBody {
     /// `correct_depth`, `fuse_fragments`, `find_loops`, `align_fragments`, `close_loops`, `fuse_whole`,
-    /// `separate_thin_parts`.
+    /// `separate_thin_parts`; `take_back` in the midst of a scan.
     pub work: &'static str,
     /// Frames, fragments or pairs of them that are done.
     pub done: usize,

@@ -57,8 +57,11 @@ impl Watchdog {
 
 /// Whether a stage that has something to do has not done it.
 fn has_not_moved(old: &Progress, new: &Progress, status: &Status) -> bool {
-    if old.phase != new.phase || new.phase != Phase::Capturing {
-        return old.phase == new.phase && old.improvement == new.improvement;
+    if old.phase != new.phase || old.improvement != new.improvement {
+        return false;
+    }
+    if new.phase != Phase::Capturing {
+        return true;
     }
     let device_hangs = new.produced == old.produced && status.device == DeviceHealth::Streaming;
     let fusion_hangs = new.handled == old.handled && status.frames.in_flight > 0;
@@ -106,12 +109,17 @@ mod tests {
         assert!(has_not_moved(&progress(5, 5), &progress(5, 5), &streaming));
         assert!(!has_not_moved(&progress(5, 5), &progress(5, 5), &gone));
         assert!(has_not_moved(&progress(5, 4), &progress(9, 4), &busy));
-        let at = |n_done| Progress {
-            phase: Phase::Meshing,
-            improvement: Some(Work::CloseLoops.at(n_done, 100)),
-            ..progress(5, 5)
+        let at = |phase, work: Work, n_done| Progress {
+            phase,
+            improvement: Some(work.at(n_done, 100)),
+            ..progress(5, 4)
         };
-        assert!(has_not_moved(&at(7), &at(7), &gone));
-        assert!(!has_not_moved(&at(7), &at(8), &gone));
+        let closing = |n_done| at(Phase::Meshing, Work::CloseLoops, n_done);
+        assert!(has_not_moved(&closing(7), &closing(7), &gone));
+        assert!(!has_not_moved(&closing(7), &closing(8), &gone));
+        // Frames wait while others are taken back.
+        let taking_back = |n_done| at(Phase::Capturing, Work::TakeBack, n_done);
+        assert!(has_not_moved(&taking_back(7), &taking_back(7), &busy));
+        assert!(!has_not_moved(&taking_back(7), &taking_back(8), &busy));
     }
 }

@@ -13,7 +13,7 @@ pub struct Improvement {
     pub n_in_all: usize,
 }
 
-/// Kinds of work at the end of a scan, in the order in which they happen.
+/// Kinds of work, those at the end of a scan in the order in which they happen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
     /// Frames are fused again with their depth corrected; for the n-th time, from 1 on.
@@ -30,6 +30,8 @@ pub enum Work {
     FuseWhole,
     /// Frames are fused again with a narrow band.
     SeparateThinParts,
+    /// Frames before those that are taken back are fused again, in the midst of a scan.
+    TakeBack,
 }
 
 impl Work {
@@ -43,6 +45,7 @@ impl Work {
             Work::CloseLoops => "close_loops",
             Work::FuseWhole => "fuse_whole",
             Work::SeparateThinParts => "separate_thin_parts",
+            Work::TakeBack => "take_back",
         }
     }
 

@@ -100,10 +100,14 @@ impl Keyframes {
         }
     }
 
-    /// Lets all but the first `n` frames go.
+    /// Lets all but the first `n` frames go; without any, all begins anew.
     pub fn truncate(&mut self, n: usize) {
+        if n == 0 {
+            *self = Keyframes::new(self.max_bytes);
+            return;
+        }
         self.frames.truncate(n);
-        self.next_to_go = self.next_to_go.clamp(1, n.max(1));
+        self.next_to_go = self.next_to_go.clamp(1, n);
         self.memory_bytes = self.frames.iter().map(|f| f.depth.memory_bytes()).sum();
     }
 
@@ -156,5 +160,11 @@ mod tests {
             keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
         }
         assert_eq!(keyframes.frames().len(), n_most);
+        assert!(!keyframes.are_dense());
+        keyframes.truncate(0);
+        for frame in 0..3 {
+            keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
+        }
+        assert!(keyframes.are_dense() && keyframes.frames().len() == 3);
     }
 }

@@ -256,7 +256,7 @@ mod tests {
                 if index == 6 {
                     // Frames are taken back while a round is under way.
                     let cut = 0.5 * (frames[4].device_time_secs + frames[5].device_time_secs);
-                    assert!(live.is_under_way() && fusion.take_back(cut));
+                    assert!(live.is_under_way() && fusion.take_back(cut, &|_| {}));
                 }
             }
             assert!(n_cut_short > 5, "{n_cut_short}");

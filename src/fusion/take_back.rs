@@ -3,6 +3,7 @@
 //! A volume does not remember what each frame brought, so that those which stay are fused anew, from their packed depth and
 //! at the poses at which they were fused. Where memory was short, that is every second or fourth of them.
 
+use super::improvement::{Counted, Improvement, Work};
 use super::locate::Before;
 use super::{Fusion, MODEL_LEVEL, loop_closing, pose_correction::PoseCorrection, track::Track};
 use crate::geometry::Pose;
@@ -10,8 +11,8 @@ use crate::geometry::Pose;
 impl Fusion {
     /// Takes back every frame later than `after_secs` of the device's clock. The next frame is tracked as after an
     /// interruption, or begins the model anew if none is left. False, and nothing is changed, if some frames are to stay
-    /// and none was kept.
-    pub fn take_back(&mut self, after_secs: f64) -> bool {
+    /// and none was kept. `told` hears how far it is: after a long scan it takes a minute.
+    pub fn take_back(&mut self, after_secs: f64, told: &(dyn Fn(Improvement) + Sync)) -> bool {
         let n_left = self.n_kept_until(after_secs);
         if after_secs > f64::NEG_INFINITY && self.keyframes.frames().is_empty() {
             return false;
@@ -26,7 +27,13 @@ impl Fusion {
         self.replace_volume(self.params.empty_volume(), Default::default());
         let (frames, nowhere) = (self.keyframes.frames(), PoseCorrection::default());
         let anew = (&mut self.volume, &mut self.band);
-        loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| true);
+        // What is half taken back is no model: it cannot be stopped.
+        let goes_on = |improvement| {
+            told(improvement);
+            true
+        };
+        let step = Counted::new(Work::TakeBack, frames.len(), &goes_on);
+        loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| step.goes_on());
         self.stretch = self.n_fused;
         self.interrupt();
         self.look_from_last();
@@ -49,6 +56,7 @@ impl Fusion {
     fn look_from_last(&mut self) {
         let Some(last) = self.keyframes.frames().last() else {
             self.model = None;
+            (self.n_fused, self.stretch) = (0, 0);
             self.track = Track::at(Pose::identity(), 0.0);
             self.before = Before::Tracked;
             return;
@@ -63,9 +71,10 @@ impl Fusion {
 #[cfg(test)]
 mod tests {
     use crate::fusion::tests::{frames, small_params};
-    use crate::fusion::{DepthNoise, Fusion, LiveMesh, TrackingOutcome};
+    use crate::fusion::{DepthNoise, Fusion, Improvement, LiveMesh, TrackingOutcome, Work};
     use crate::geometry::{CameraModel, motion_between};
     use depth_camera::{Frame, Sensor};
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn fused(frames: &[Frame], camera: CameraModel) -> Fusion {
         let noise = DepthNoise::of_sensor(Sensor::Kinect2);
@@ -89,7 +98,13 @@ mod tests {
         let mut live = LiveMesh::default();
         fusion.refresh(&mut live);
         let cut = 0.5 * (frames[4].device_time_secs + frames[5].device_time_secs);
-        assert!(fusion.take_back(cut));
+        let n_told = AtomicUsize::new(0);
+        let told = |at: Improvement| {
+            assert_eq!((at.work, at.n_in_all), (Work::TakeBack, 5));
+            n_told.fetch_add(1, Ordering::Relaxed);
+        };
+        assert!(fusion.take_back(cut, &told));
+        assert_eq!(n_told.into_inner(), 5);
         assert_eq!(fusion.keyframes().len(), 5);
         let (left, expected) = (fusion.mesh(), before.mesh());
         // Depth was packed in steps of 0.1 mm: surface appears and vanishes at the rims alone.
@@ -118,12 +133,14 @@ mod tests {
     fn a_model_of_which_nothing_is_left_begins_anew() {
         let (frames, _, camera) = frames(3);
         let mut fusion = fused(&frames, camera);
-        assert!(fusion.take_back(f64::NEG_INFINITY));
+        assert!(fusion.take_back(f64::NEG_INFINITY, &|_| {}));
         assert!(fusion.mesh().faces.is_empty() && fusion.model().is_none());
+        assert_eq!(fusion.n_fused(), 0);
         assert!(matches!(
             fuse(&mut fusion, &frames[2]),
             TrackingOutcome::Tracked { fit: None, .. }
         ));
+        assert_eq!(fusion.n_fused(), 1);
     }
 
     #[test]
@@ -142,7 +159,11 @@ mod tests {
                 );
             }
             let before = given.mesh().faces.len();
-            (given.take_back(3.5), before, given.mesh().faces.len())
+            (
+                given.take_back(3.5, &|_| {}),
+                before,
+                given.mesh().faces.len(),
+            )
         };
         let (is_done, before, after) = taken_back(512);
         assert!(

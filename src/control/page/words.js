@@ -29,7 +29,7 @@ const REASONS = {
   program: 'fault of the program',
 };
 
-/** What is done to a scan at its end. */
+/** What is done to a scan at its end, or when frames are taken back. */
 const WORKS = {
   correct_depth: 'Correcting depth, frame',
   fuse_fragments: 'Closing loops, fragment',
@@ -38,6 +38,7 @@ const WORKS = {
   close_loops: 'Closing loops, frame',
   fuse_whole: 'Completing the model, frame',
   separate_thin_parts: 'Separating thin parts, frame',
+  take_back: 'Taking frames back, frame',
 };
 
 /** `{title, advice, tone}`, tone one of good, weak, bad, quiet. */

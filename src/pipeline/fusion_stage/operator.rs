@@ -158,8 +158,11 @@ impl FusionStage {
     /// be done.
     fn forget_after(&mut self, after_secs: f64) -> Option<usize> {
         self.loops.give_up();
-        let (fusion, pool) = (&mut self.fusion, &self.pool);
-        if !pool.install(|| fusion.take_back(after_secs)) {
+        let (fusion, pool, status) = (&mut self.fusion, &self.pool, &self.status);
+        let tell = |improvement| status.update(|status| status.improvement = Some(improvement));
+        let is_taken_back = pool.install(|| fusion.take_back(after_secs, &tell));
+        status.update(|status| status.improvement = None);
+        if !is_taken_back {
             return None;
         }
         self.conditions.interrupt();
