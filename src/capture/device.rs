@@ -1,7 +1,8 @@
 //! The device thread's loop: takes frames from a camera until it ends, fails, or is told to stop.
 //!
 //! A live device, which does not know how many frames will come, may be unplugged or fall silent: once it has delivered a
-//! frame it is awaited, and the stream goes on when it is back. A recording ends at its end.
+//! frame it is awaited, and the stream goes on when it is back. A recording ends at its end; played at its own pace it stalls in
+//! its gaps, as the device did.
 
 use super::{CaptureParams, Event, EventKind, continuity::Continuity};
 use depth_camera::{CameraError, DepthCamera, Frame};
@@ -168,11 +169,12 @@ impl Device<'_> {
         self.summary.n_timeouts += 1;
         let waited: Duration = self.last_heard.elapsed();
         let error = CameraError::Timeout { waited };
-        if waited >= self.params.max_silence() {
+        // A recording at its own pace is not silent: it waits for its next moment.
+        if self.is_live && waited >= self.params.max_silence() {
             return self.gone(error, deliver);
         }
         self.n_in_vain += 1;
-        let is_stalled = self.n_in_vain >= STALLED_AFTER && self.is_awaited();
+        let is_stalled = self.n_in_vain >= STALLED_AFTER && self.summary.n_frames > 0;
         if is_stalled && self.health == DeviceHealth::Streaming {
             self.turn(DeviceHealth::Stalled, deliver);
         }

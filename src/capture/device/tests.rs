@@ -89,13 +89,34 @@ fn a_damaged_frame_is_counted_and_told_and_the_stream_goes_on() {
 fn a_camera_that_is_gone_or_silent_ends_the_stream() {
     let (summary, _) = run(vec![frame(0), Err(CameraError::Disconnected)]);
     assert_eq!(summary.end, CaptureEnd::Failed(CameraError::Disconnected));
-    let (summary, sink) = run(vec![frame(0)]);
+    let impatient = CaptureParams {
+        max_silence_secs: 0.0,
+        ..patient(0.0)
+    };
+    let (summary, sink) = run_with(&impatient, None, vec![frame(0)]);
     assert_eq!(summary.n_timeouts, 1);
     assert!(matches!(
         summary.end,
         CaptureEnd::Failed(CameraError::Timeout { .. })
     ));
     assert_eq!(sink.frames, [0]);
+}
+
+#[test]
+fn a_recording_at_its_own_pace_waits_through_its_gaps() {
+    use DeviceHealth::{Stalled, Streaming};
+    let answers = vec![
+        frame(0),
+        timeout(),
+        timeout(),
+        timeout(),
+        frame(1),
+        Ok(None),
+    ];
+    let (summary, sink) = run(answers);
+    assert_eq!(summary.end, CaptureEnd::EndOfStream);
+    assert_eq!(sink.frames, [0, 1]);
+    assert_eq!(sink.health, [Stalled, Streaming]);
 }
 
 /// Parameters that await a live device for so long.
