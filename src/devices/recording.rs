@@ -53,12 +53,15 @@ pub fn open_recording(
     params: &DeviceParams,
     pacing: Pacing,
 ) -> Result<Box<dyn DepthCamera>, CameraError> {
-    Ok(match Recording::of_folder(folder) {
+    let camera: Box<dyn DepthCamera> = match Recording::of_folder(folder) {
         Recording::Session => open_session(folder, pacing)?.camera,
         Recording::RawDisparity => Box::new(RawDisparityCamera::open(folder)?.with_pacing(pacing)),
         Recording::RawPackets => {
             let camera = RawPacketCamera::open(folder, params.kinect2.decoder_options())?;
             Box::new(camera.with_pacing(pacing))
         }
-    })
+    };
+    let size = camera.info().intrinsics.check_size();
+    size.map_err(|what| CameraError::Invalid(format!("{}: {what}", folder.display())))?;
+    Ok(camera)
 }

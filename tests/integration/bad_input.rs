@@ -50,6 +50,11 @@ fn a_description_that_makes_no_sense_is_refused() {
             "fx = 0.0 # ",
             ["session.toml", "ir_camera.fx is 0, must be positive"],
         ),
+        (
+            "width = ",
+            "width = 16000 # ",
+            ["session", "must be below 8388608 pixels"],
+        ),
     ] {
         let bench = Workbench::with_frames(1);
         bench.edit("session.toml", old, new);

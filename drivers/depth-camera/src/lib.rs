@@ -75,6 +75,33 @@ pub struct Intrinsics {
     pub k3: f64,
 }
 
+/// Narrower images than this have no reduced levels to track on; no depth camera's are.
+const MIN_SIDE_PX: usize = 16;
+/// More pixels than any depth camera's: a wrong size must not ask for gigabytes. Single precision counts no further, either.
+const MAX_PIXELS: usize = 1 << 23;
+
+impl Intrinsics {
+    /// Checks that images of this size can be worked on.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn check_size(&self) -> Result<(), String> {
+        for (key, side) in [("width", self.width), ("height", self.height)] {
+            if side < MIN_SIDE_PX {
+                return Err(format!("{key} is {side}, must be at least {MIN_SIDE_PX}"));
+            }
+        }
+        let n_pixels = self.width.saturating_mul(self.height);
+        if n_pixels >= MAX_PIXELS {
+            return Err(format!(
+                "width × height is {} × {}, must be below {MAX_PIXELS} pixels",
+                self.width, self.height
+            ));
+        }
+        Ok(())
+    }
+}
+
 /// What lights a shading image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LightKind {
@@ -187,5 +214,39 @@ pub trait DepthCamera: Send {
     /// As [`DepthCamera::pause_depth`].
     fn resume_depth(&mut self) -> Result<(), CameraError> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_that_cannot_be_worked_on_is_named_with_its_bound() {
+        let said = |width, height| {
+            let intrinsics = Intrinsics {
+                width,
+                height,
+                fx: 500.0,
+                fy: 500.0,
+                cx: 0.0,
+                cy: 0.0,
+                k1: 0.0,
+                k2: 0.0,
+                p1: 0.0,
+                p2: 0.0,
+                k3: 0.0,
+            };
+            intrinsics.check_size().err()
+        };
+        assert_eq!(said(16, 16), None);
+        assert_eq!(said(3840, 2160), None);
+        assert_eq!(said(8, 24).unwrap(), "width is 8, must be at least 16");
+        assert_eq!(said(640, 0).unwrap(), "height is 0, must be at least 16");
+        let many = said(4096, 2048).unwrap();
+        assert!(
+            many.contains("4096 × 2048") && many.contains("8388608"),
+            "{many}"
+        );
     }
 }
