@@ -17,7 +17,9 @@ mod calibration_merge;
 mod control_params;
 mod device_params;
 
-pub use calibration::{CalibrationPlaces, CalibrationSource, FoundCalibration, find_calibration};
+pub use calibration::{
+    CalibrationPlaces, CalibrationSource, FoundCalibration, find_calibration, session_folder,
+};
 pub use calibration_file::{DeviceCalibration, MeasuredLight};
 pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
 pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};

@@ -151,14 +151,14 @@ fn found_calibration(args: &BenchArgs, info: &CameraInfo) -> anyhow::Result<Foun
     let places = CalibrationPlaces {
         given: None,
         folder: &run::calibration_folder(None, args.config.as_deref()),
-        session: Some(run::session_folder(&args.session)),
+        session: Some(&args.session),
     };
     Ok(config::find_calibration(info, &places)?)
 }
 
 /// The measured poses that lie beside a recording, if there are any.
 fn measured_poses(session: &Path) -> anyhow::Result<Option<GivenPoses>> {
-    let path = run::session_folder(session).join("groundtruth.txt");
+    let path = config::session_folder(session).join("groundtruth.txt");
     if !path.exists() {
         return Ok(None);
     }

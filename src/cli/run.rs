@@ -182,7 +182,7 @@ fn pipeline_params(
     let places = CalibrationPlaces {
         given: args.calibration.as_deref(),
         folder: &folder,
-        session: Some(session_folder(&args.session)),
+        session: Some(&args.session),
     };
     let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
@@ -288,14 +288,6 @@ pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBu
         (Some(given), _) => given.to_owned(),
         (None, Some(folder)) => folder.join("calibration"),
         (None, None) => PathBuf::from("calibration"),
-    }
-}
-
-/// The folder that a session lies in: its own, or that of its file.
-pub fn session_folder(session: &Path) -> &Path {
-    match (session.is_file(), session.parent()) {
-        (true, Some(folder)) => folder,
-        _ => session,
     }
 }
 

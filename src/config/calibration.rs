@@ -17,7 +17,7 @@ pub struct CalibrationPlaces<'a> {
     pub given: Option<&'a Path>,
     /// The folder of the files named by serial number.
     pub folder: &'a Path,
-    /// The folder of the recording, which may hold the calibration that it was made with.
+    /// The recording, a folder or a file in one: that folder may hold the calibration that it was made with.
     pub session: Option<&'a Path>,
 }
 
@@ -80,12 +80,20 @@ pub fn find_calibration(
     }
     let of_session = places
         .session
-        .map(|folder| folder.join(Calibration::FILE_NAME));
+        .map(|session| session_folder(session).join(Calibration::FILE_NAME));
     if let Some(path) = of_session.filter(|path| path.exists()) {
         return read(&path, info);
     }
     let nothing = DeviceCalibration::new(info.serial.clone(), info.sensor);
     over_shipped(&nothing, info, shipped_source(info))
+}
+
+/// The folder that a session lies in: its own, or that of its file.
+pub fn session_folder(session: &Path) -> &Path {
+    match (session.is_file(), session.parent()) {
+        (true, Some(folder)) => folder,
+        _ => session,
+    }
 }
 
 fn shipped_source(info: &CameraInfo) -> CalibrationSource {

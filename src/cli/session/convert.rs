@@ -1,12 +1,12 @@
 //! `relief session export` and `import`: recordings as folders of images, and back.
 
 use super::ConvertArgs;
-use crate::cli::run::{Verdict, session_folder};
+use crate::cli::run::Verdict;
 use anyhow::Context;
 use depth_camera::{CameraError, DepthCamera, Frame};
 use mcap_session::{RecordingParams, SegmentWriter, open_session};
 use relief::{
-    config::{Config, Overrides},
+    config::{self, Config, Overrides},
     devices::{Recording, open_recording},
     shading::Calibration,
 };
@@ -82,7 +82,7 @@ fn convert(
 
 /// Takes the calibration along, and says what became of the frames.
 fn conclude(args: &ConvertArgs, converted: &Converted) -> anyhow::Result<Verdict> {
-    let calibration = session_folder(&args.session).join(Calibration::FILE_NAME);
+    let calibration = config::session_folder(&args.session).join(Calibration::FILE_NAME);
     if calibration.is_file() {
         copy(&calibration, &args.out.join(Calibration::FILE_NAME))?;
     }

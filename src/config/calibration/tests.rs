@@ -69,6 +69,19 @@ fn the_most_binding_place_wins() {
 }
 
 #[test]
+fn a_recording_in_one_file_has_its_calibration_beside_it() {
+    let bench = Bench::new();
+    let beside = bench.write("session/calibration.toml", &complete(1.1));
+    let places = CalibrationPlaces {
+        given: None,
+        folder: &bench.root.path().join("calibration"),
+        session: Some(&bench.write("session/segment-0000.mcap", "")),
+    };
+    let found = find_calibration(&bench.info, &places).unwrap();
+    assert_eq!(found.source, CalibrationSource::File(beside));
+}
+
+#[test]
 fn a_serial_that_is_no_file_name_has_no_file() {
     let mut bench = Bench::new();
     bench.write("calibration/simulated-5.toml", &complete(0.9));
