@@ -58,6 +58,7 @@ struct Frames {
     tracked: usize,
     lost: usize,
     without_depth: usize,
+    damaged: usize,
 }
 
 #[derive(Serialize)]
@@ -109,7 +110,17 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let ir_offset = IrOffset::nearest(calibration.ir_offset_px);
     let infrared = infrared_optics(&config.fusion, &calibration, camera.info());
     let mut run = Run::new(camera.info(), &config, infrared);
-    while let Some(frame) = camera.grab(Duration::ZERO)? {
+    loop {
+        let frame = match camera.grab(Duration::ZERO) {
+            Ok(Some(frame)) => frame,
+            Ok(None) => break,
+            Err(error) if error.is_recoverable() => {
+                tracing::warn!(%error, "frame skipped");
+                run.frames.damaged += 1;
+                continue;
+            }
+            Err(error) => return Err(error.into()),
+        };
         let frame = ir_offset.remove_from(frame);
         if let Some(depth) = &frame.depth {
             if let Some(ir) = &frame.ir {
@@ -304,6 +315,7 @@ fn print_text(measured: &Measured) {
         tracked,
         lost,
         without_depth,
+        damaged,
     } = measured.frames;
     println!(
         "{}: voxels of {} mm, depth to {} m, {} threads",
@@ -312,7 +324,9 @@ fn print_text(measured: &Measured) {
         measured.depth_max_m,
         measured.threads
     );
-    println!("frames: {tracked} tracked, {lost} lost, {without_depth} without depth");
+    println!(
+        "frames: {tracked} tracked, {lost} lost, {without_depth} without depth, {damaged} damaged"
+    );
     println!("processor time a frame, all threads together, median ms:");
     for time in &measured.cpu_ms {
         println!(

@@ -71,3 +71,16 @@ fn every_step_is_timed_and_the_path_scored_where_it_is_known() {
     let rmse_m = trajectory["rmse_m"].as_f64().unwrap();
     assert!((rmse_m - 0.816).abs() < 0.05, "{rmse_m}");
 }
+
+#[test]
+fn a_damaged_frame_is_left_out_and_counted() {
+    let workbench = Workbench::with_frames(3);
+    let list = std::fs::read_to_string(workbench.session().join("depth.txt")).unwrap();
+    let last = list.lines().last().unwrap().split_once(' ').unwrap().1;
+    std::fs::write(workbench.session().join(last), "no image").unwrap();
+    let frames = &bench(&workbench)["frames"];
+    assert_eq!(
+        (&frames["tracked"], &frames["damaged"]),
+        (&2.into(), &1.into())
+    );
+}
