@@ -1,6 +1,7 @@
 //! The child process of an attempt: started, listened to, told to end.
 
 use super::{JobProgress, idleness::Idleness, limits::Limits};
+use crate::pipeline::CALIBRATION;
 use crossbeam::channel::{Receiver, bounded};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use serde::{Deserialize, Serialize};
@@ -137,6 +138,11 @@ fn arguments(attempt: &Attempt) -> Vec<OsString> {
         attempt.calibration_dir.into(),
         "--progress-json".into(),
     ];
+    // What the scan was made with, and its job is named by; a file of the device may be newer.
+    let own = attempt.scan.join(CALIBRATION);
+    if own.is_file() {
+        arguments.extend(["--calibration".into(), own.into()]);
+    }
     arguments.extend(attempt.limits.arguments().into_iter().map(OsString::from));
     arguments
 }
