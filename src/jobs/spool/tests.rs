@@ -122,6 +122,23 @@ fn a_newer_job_takes_the_place_of_one_that_waits_but_not_of_one_that_runs() {
 }
 
 #[test]
+fn a_job_asked_for_again_while_it_is_being_cancelled_begins_anew() {
+    let root = tempfile::tempdir().unwrap();
+    scan(root.path(), "a");
+    let spool = open(root.path());
+    spool.submit(&request(1, "a")).unwrap();
+    spool.claim().unwrap().unwrap();
+    spool.cancel(&id(1)).unwrap();
+    assert_eq!(states(&spool)[&id(1)], JobState::Cancelled);
+    let (place, again) = spool.submit(&request(1, "a")).unwrap();
+    assert_eq!((place, again.attempt), (Place::Running, Some(1)));
+    assert_eq!(states(&spool)[&id(1)], JobState::Running);
+    // The child that was told to end has ended.
+    spool.put_back(&id(1)).unwrap();
+    assert_eq!(spool.claim().unwrap().unwrap().id, id(1));
+}
+
+#[test]
 fn a_spool_has_one_owner_and_keeps_what_is_no_job() {
     let root = tempfile::tempdir().unwrap();
     let spool = open(root.path());

@@ -24,7 +24,7 @@ pub struct Request<'a> {
 
 impl Spool {
     /// Lets a job wait, in the place of older ones of the same scan that wait. One that waits or runs already, or whose result
-    /// stands, stays what it is; one that ended otherwise begins anew.
+    /// stands, stays what it is; one that ended otherwise begins anew, and one that is being cancelled does once its child is gone.
     ///
     /// # Errors
     /// If the system refuses.
@@ -37,6 +37,13 @@ impl Spool {
                 (*place, record.clone())
             }
             _ => {
+                let (from, to, attempt) = match known {
+                    Some((Place::Running, cancelled)) => {
+                        (Place::Running, Place::Running, cancelled.attempt)
+                    }
+                    Some((place, _)) => (*place, Place::Waiting, None),
+                    None => (Place::Waiting, Place::Waiting, None),
+                };
                 let record = Record {
                     id: request.id.clone(),
                     scan: request.scan.to_owned(),
@@ -44,13 +51,12 @@ impl Spool {
                     submitted_unix_ms: request.now_unix_ms,
                     settings: self.keep_settings(request.settings)?,
                     failures: Vec::new(),
-                    attempt: None,
+                    attempt,
                     is_landing: false,
                     ending: None,
                 };
-                let from = known.map_or(Place::Waiting, |(place, _)| *place);
-                self.settle(from, &record, Place::Waiting)?;
-                (Place::Waiting, record)
+                self.settle(from, &record, to)?;
+                (to, record)
             }
         };
         self.supersede()?;
@@ -238,7 +244,7 @@ impl Spool {
 /// Whether a known job answers a request as it stands.
 fn stays(place: Place, record: &Record, request: &Request, all: &[(Place, Record)]) -> bool {
     match (place, record.ending.as_ref().map(|ending| ending.state)) {
-        (Place::Waiting, None) | (Place::Running, _) | (_, Some(JobState::Refused)) => true,
+        (Place::Waiting | Place::Running, None) | (_, Some(JobState::Refused)) => true,
         // The refined mesh in the scan's folder is that of the newest job that is done.
         (_, Some(JobState::Done)) => {
             let newest = all.iter().find(|(_, other)| {
