@@ -6,6 +6,9 @@ use super::{WorkerParams, params::Turns};
 use rustix::process::{self, Pid, Resource, Rlimit, Signal};
 use std::io;
 
+/// At the lower limit of processor time the system sends SIGXCPU, which says what was used up; so much later, at the upper, SIGKILL.
+const CPU_GRACE_SECS: u64 = 5;
+
 /// Priority and limits of a process. `None` leaves what it has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Limits {
@@ -77,18 +80,19 @@ impl Limits {
             process::nice(nice)?;
         }
         if let Some(mb) = self.max_memory_mb {
-            limit(Resource::As, mb.saturating_mul(1 << 20))?;
+            let bytes = mb.saturating_mul(1 << 20);
+            limit(Resource::As, bytes, bytes)?;
         }
         if let Some(secs) = self.max_cpu_secs {
-            limit(Resource::Cpu, secs)?;
+            limit(Resource::Cpu, secs, secs.saturating_add(CPU_GRACE_SECS))?;
         }
         Ok(())
     }
 }
 
-fn limit(resource: Resource, maximum: u64) -> io::Result<()> {
+fn limit(resource: Resource, current: u64, maximum: u64) -> io::Result<()> {
     let limit = Rlimit {
-        current: Some(maximum),
+        current: Some(current),
         maximum: Some(maximum),
     };
     Ok(process::setrlimit(resource, limit)?)

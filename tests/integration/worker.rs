@@ -162,30 +162,37 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
 }
 
 #[test]
-fn a_child_that_needs_more_memory_than_it_may_have_fails_and_says_so() {
-    let (root, scan) = fused_demo();
-    let before = files(&scan);
-    let params = WorkerParams {
-        turns: Turns::Shared,
+fn a_child_that_needs_more_than_it_may_have_fails_and_says_so() {
+    let memory = WorkerParams {
         max_memory_mb: 96,
         max_retries: 1,
         ..WorkerParams::default()
     };
-    let worker = worker(root.path(), params);
-    worker.submit(&scan).unwrap();
-    let ended = poll("the end", || {
-        let job = worker.of_scan("demo")?;
-        job.state.is_ended().then_some(job)
-    });
-    worker.stop();
-    assert_eq!(ended.state, JobState::Failed);
-    assert_eq!(ended.failures.len(), 2);
-    let [first, ..] = ended.failures.as_slice() else {
-        panic!("it has failed");
+    let processor = WorkerParams {
+        max_cpu_secs: 1,
+        max_retries: 0,
+        ..WorkerParams::default()
     };
-    assert!(
-        first.starts_with("killed by signal SIGABRT, as where memory is used up: "),
-        "{first}"
-    );
-    assert_eq!(files(&scan), before);
+    for (params, reason) in [
+        (memory, "SIGABRT, as where memory is used up: "),
+        (processor, "SIGXCPU: its processor time is used up"),
+    ] {
+        let (root, scan) = fused_demo();
+        let before = files(&scan);
+        let n_attempts = params.max_retries as usize + 1;
+        let turns = Turns::Shared;
+        let worker = worker(root.path(), WorkerParams { turns, ..params });
+        worker.submit(&scan).unwrap();
+        let ended = poll("the end", || {
+            let job = worker.of_scan("demo")?;
+            job.state.is_ended().then_some(job)
+        });
+        worker.stop();
+        assert_eq!(ended.state, JobState::Failed);
+        assert_eq!(ended.failures.len(), n_attempts);
+        let first = &ended.failures[0];
+        let expected = format!("killed by signal {reason}");
+        assert!(first.starts_with(&expected), "{first}");
+        assert_eq!(files(&scan), before);
+    }
 }
