@@ -11,9 +11,10 @@ use axum::{
     http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
+use rustix::fs::{Access, access};
 use serde::Serialize;
 use serde_json::Value;
-use std::{fs, sync::Arc};
+use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// Whether the process answers
@@ -37,14 +38,13 @@ pub async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem
         if supervisor.scan().is_none() && supervisor.source.list().is_empty() {
             return Err(not_ready("no_device", "the camera does not answer"));
         }
-        match fs::metadata(supervisor.data.sessions()) {
-            Ok(metadata) if !metadata.permissions().readonly() => Ok("ready\n"),
-            Ok(_) => Err(not_ready(
-                "storage_failed",
-                "the data directory is read-only",
-            )),
-            Err(error) => Err(not_ready("storage_failed", &error.to_string())),
-        }
+        // Not by the bits of its mode: the file system may be read-only, or the folder somebody else's.
+        let folder = supervisor.data.sessions();
+        access(&folder, Access::WRITE_OK | Access::EXEC_OK).map_err(|error| {
+            let what = format!("{}: {error}", folder.display());
+            not_ready("storage_failed", &what)
+        })?;
+        Ok("ready\n")
     })
     .await
 }
