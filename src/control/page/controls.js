@@ -6,15 +6,15 @@ const UNDO_SECS = 5;
 const SCANNING = ['warming', 'tracking', 'degraded', 'lost', 'relocalising', 'paused', 'snapshotting'];
 const RUNNING = SCANNING.filter((state) => state !== 'paused');
 const HOLDING = ['tracking', 'degraded'];
-/** In which states a button can be pressed. */
+/** In which states a button can be pressed. In a fault a scan may go on, and can be ended; only without one can another be started. */
 const ALLOWED = {
   start: ['idle', 'fault'],
-  pause: RUNNING,
+  pause: [...RUNNING, 'fault'],
   resume: ['paused'],
   snapshot: HOLDING,
-  undo: [...HOLDING, 'lost', 'relocalising', 'paused'],
-  reset: SCANNING,
-  stop: SCANNING,
+  undo: [...HOLDING, 'lost', 'relocalising', 'paused', 'fault'],
+  reset: [...SCANNING, 'fault'],
+  stop: [...SCANNING, 'fault'],
 };
 
 export class Controls {
@@ -54,19 +54,25 @@ export class Controls {
   }
 
   #isScanning() {
-    return SCANNING.includes(this.#status?.state);
+    const { state, scan } = this.#status ?? {};
+    return SCANNING.includes(state) || (state === 'fault' && Boolean(scan));
+  }
+
+  #isAllowed(name) {
+    const state = this.#status?.state;
+    return ALLOWED[name].includes(state) && (state !== 'fault' || this.#isScanning() === (name !== 'start'));
   }
 
   #update() {
     const state = this.#status?.state;
     // Before anything is disabled or hidden, which takes the focus away.
     const focused = document.activeElement;
-    for (const [name, states] of Object.entries(ALLOWED)) this.#buttons[name].disabled = !states.includes(state);
+    for (const name of Object.keys(ALLOWED)) this.#buttons[name].disabled = !this.#isAllowed(name);
     const canRefine = this.#isScanning() ? this.#status.snapshots.accepted > 0 : state === 'idle' && this.#lastSession !== null;
     this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
     this.#buttons.export.disabled = !this.#status || this.#lastSession === null;
     if (!state) return;
-    document.getElementById('name').hidden = !ALLOWED.start.includes(state);
+    document.getElementById('name').hidden = !this.#isAllowed('start');
     const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';
     for (const name of ['start', 'pause', 'resume']) this.#buttons[name].hidden = name !== shown;
     // Three buttons share a place: the focus goes on to the one that takes it.
