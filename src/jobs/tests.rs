@@ -211,6 +211,24 @@ fn endings_that_another_attempt_cannot_mend_are_final() {
 }
 
 #[test]
+fn a_scan_is_refined_with_its_own_calibration_where_it_has_one() {
+    let bench = Workbench::new(&format!("echo \"$@\" > $here/arguments\n{REFINE}"));
+    let own = bench.scan.join("calibration.toml");
+    for has_own in [false, true] {
+        if has_own {
+            fs::write(&own, "gamma = 0.9").unwrap();
+        }
+        let worker = bench.worker();
+        let job = worker.submit(&bench.scan).unwrap();
+        assert_eq!(end_of(&worker, &job.id).state, JobState::Done);
+        worker.stop();
+        let arguments = fs::read_to_string(bench.path("arguments")).unwrap();
+        let given = format!("--calibration {}", own.display());
+        assert_eq!(arguments.contains(&given), has_own, "{arguments}");
+    }
+}
+
+#[test]
 fn a_running_job_is_cancelled_even_if_the_child_does_not_listen() {
     for trap in ["trap 'exit 130' TERM", "trap '' TERM"] {
         let bench = Workbench::new(&format!(
