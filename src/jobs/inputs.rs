@@ -1,7 +1,7 @@
 //! What a refinement is made from, and the name that follows from it.
 
 use super::{JobError, JobId, spool};
-use crate::pipeline::{BASE_PLY, CALIBRATION, TRAJECTORY};
+use crate::pipeline::{BASE_PLY, CALIBRATION, SCENE_PLY, TRAJECTORY};
 use sha2::{Digest, Sha256};
 use std::{
     fs::{self, File},
@@ -37,9 +37,11 @@ pub fn job_id(scan: &Path, settings: &str) -> Result<JobId, JobError> {
         file(&mut hash, name, &path)?;
     }
     // Without a calibration of its own the scan is refined with the one of its device.
-    let calibration = scan.join(CALIBRATION);
-    if calibration.is_file() {
-        file(&mut hash, CALIBRATION, &calibration)?;
+    for name in [SCENE_PLY, CALIBRATION] {
+        let path = scan.join(name);
+        if path.is_file() {
+            file(&mut hash, name, &path)?;
+        }
     }
     let snapshots = scan.join(SNAPSHOTS);
     let files = match snapshots.is_dir() {

@@ -23,6 +23,8 @@ use std::{
 
 /// The base mesh's file.
 pub const BASE_PLY: &str = "base.ply";
+/// All that was fused, where the base mesh is a part of it or has its holes filled.
+pub const SCENE_PLY: &str = "scene.ply";
 /// The refined mesh, with albedo, for tools of measurement.
 pub const REFINED_PLY: &str = "refined.ply";
 /// The refined mesh, for viewers.
@@ -90,8 +92,17 @@ impl Outbox {
 
     /// Writes the base mesh.
     pub fn base_mesh(&self, base: &TriMesh) {
-        let normals = base.vertex_normals();
-        self.write(BASE_PLY, |path| write_ply(path, base, &normals, None));
+        self.fused_mesh(BASE_PLY, base);
+    }
+
+    /// Writes all that was fused, which a refinement begins with, where the base mesh is not that.
+    pub fn scene_mesh(&self, scene: &TriMesh) {
+        self.fused_mesh(SCENE_PLY, scene);
+    }
+
+    fn fused_mesh(&self, name: &str, mesh: &TriMesh) {
+        let normals = mesh.vertex_normals();
+        self.write(name, |path| write_ply(path, mesh, &normals, None));
     }
 
     /// Writes the refined mesh in both formats.

@@ -52,7 +52,8 @@ pub use crate::{
 pub use accounts::FrameAccounts;
 pub use command::{Command, CommandRefused};
 pub use deliver::{
-    BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
+    BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, SCENE_PLY,
+    TRAJECTORY,
 };
 pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;

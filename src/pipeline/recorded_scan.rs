@@ -1,7 +1,7 @@
 //! A scan read back from an output folder, to be refined again without fusing it again.
 
 use super::{
-    deliver::{BASE_PLY, TRAJECTORY},
+    deliver::{BASE_PLY, SCENE_PLY, TRAJECTORY},
     fusion_stage::FusedScan,
     snapshot_meta::SnapshotMeta,
 };
@@ -55,15 +55,15 @@ pub enum RecordedScanError {
 }
 
 impl RecordedScan {
-    /// Reads `base.ply`, `trajectory.txt` and `snapshots` of an output folder. Positions of the mesh have single precision.
+    /// Reads `base.ply`, or `scene.ply` where that is all that was fused, `trajectory.txt` and `snapshots` of an output folder.
+    /// Positions of the mesh have single precision.
     ///
     /// # Errors
     /// If a file is missing or spoilt, or there are no shading images.
     pub fn read(folder: &Path) -> Result<Self, RecordedScanError> {
-        let (base, stored) = rayon::join(
-            || read_ply(&folder.join(BASE_PLY)),
-            || read_snapshots(folder),
-        );
+        let scene = Some(folder.join(SCENE_PLY)).filter(|path| path.is_file());
+        let fused = scene.unwrap_or_else(|| folder.join(BASE_PLY));
+        let (base, stored) = rayon::join(|| read_ply(&fused), || read_snapshots(folder));
         let (base, stored) = (base?, stored?);
         let trajectory = read_trajectory(&folder.join(TRAJECTORY))?;
         let mut info = None;

@@ -87,6 +87,9 @@ pub fn run(
     let deliver = || {
         export_clock.time(|| {
             let base_mesh = deliver_base(setup, base, outbox);
+            if summary.object.is_some() || setup.object.watertight {
+                outbox.scene_mesh(&scan.base);
+            }
             if let Ok(snapshots) = &images {
                 outbox.snapshots(snapshots, &setup.info);
             }

@@ -1,8 +1,8 @@
 //! What of a scan is delivered: the object alone, closed, and with its poses put right.
 
-use crate::support::{Workbench, assert_says, record, small_camera, summary};
+use crate::support::{PROGRAM, Workbench, assert_says, record, small_camera, summary};
 use relief::{export::read_ply, geometry::EdgeAdjacency};
-use std::fs;
+use std::{fs, path::Path, process::Command};
 
 #[test]
 fn a_closed_part_of_the_scene_is_delivered_on_request() {
@@ -18,6 +18,48 @@ fn a_closed_part_of_the_scene_is_delivered_on_request() {
     assert!(EdgeAdjacency::new(&base).n_faces.iter().all(|&n| n == 2));
     let within = |p: &nalgebra::Point3<f64>| p.x.abs() < 0.31 && p.y.abs() < 0.31 && p.z < 0.91;
     assert!(base.faces.len() > 1000 && base.vertices.iter().all(within));
+}
+
+/// A part alone, closed, is not what a refinement takes for measured: it begins with all that was fused, as the run itself did.
+#[test]
+fn what_is_refined_does_not_depend_on_what_was_delivered() {
+    let workbench = Workbench::empty();
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
+    let run = |arguments: &[&str]| {
+        let output = Command::new(PROGRAM).args(arguments).output().unwrap();
+        assert_says(&output, 0, &[]);
+    };
+    let config = workbench.write("crop.toml", "[object]\ncrop = \"object\"\n");
+    let refined = [
+        ("whole", &[][..]),
+        ("part", &["--crop", "object", "--watertight"]),
+    ]
+    .map(|(name, cropped)| {
+        let [scan, out] = [
+            workbench.path(name),
+            workbench.path(&format!("{name}-refined")),
+        ];
+        let [scan, out] = [&scan, &out].map(|path| path.to_str().unwrap());
+        let replay = [
+            "replay",
+            demo.to_str().unwrap(),
+            "--out",
+            scan,
+            "--no-refine",
+        ];
+        run(&[&replay[..], cropped].concat());
+        assert_eq!(Path::new(scan).join("scene.ply").exists(), name == "part");
+        run(&[
+            "refine",
+            scan,
+            "--out",
+            out,
+            "--config",
+            config.to_str().unwrap(),
+        ]);
+        fs::read(Path::new(out).join("refined.ply")).unwrap()
+    });
+    assert!(refined[0] == refined[1]);
 }
 
 #[test]
