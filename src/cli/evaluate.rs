@@ -21,8 +21,8 @@ use relief::{
     geometry::{CameraModel, Pose, RayGrid, TriMesh},
     pipeline::{OutputFolder, RecordedScan},
     refine::{
-        HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate, refine,
-        select_object, select_roi,
+        Crop, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate,
+        refine, select_roi,
     },
     shading::Calibration,
     snapshot::ShadingSnapshot,
@@ -40,7 +40,7 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
         .num_threads(args.scan.threads.unwrap_or_else(run::all_processors).get())
         .build()?;
     let truth = args.truth.as_deref().map(read_ply).transpose()?;
-    let scan = Scan::new(recorded, args)?;
+    let scan = Scan::new(recorded, args, config.object.crop)?;
     let truth = truth.map(|mesh| {
         let bounds = args.truth_box.map(|bounds| [bounds.0.min, bounds.0.max]);
         Truth::new(mesh, bounds)
@@ -67,19 +67,22 @@ struct Scan {
 }
 
 impl Scan {
-    fn new(recorded: RecordedScan, args: &EvaluateArgs) -> anyhow::Result<Self> {
+    fn new(recorded: RecordedScan, args: &EvaluateArgs, crop: Crop) -> anyhow::Result<Self> {
         let RecordedScan { info, scan } = recorded;
         let object = match &args.scan.roi {
             Some(roi) => select_roi(&scan.base, &roi.0),
-            None => select_object(&scan.base, &scan.world_from_cameras).0,
+            None => crop
+                .object(&scan.base, &scan.world_from_cameras)
+                .map_err(anyhow::Error::msg)?,
         };
         ensure!(
             !object.faces.is_empty(),
-            "no object stands out of the scene; give its box by --roi"
+            "no surface lies in the box given by --roi"
         );
         let snapshots = scan.snapshots.context("no shading images")?.accepted;
+        let leaves_out = args.folds > 0 || args.ablations;
         ensure!(
-            snapshots.len() > 1,
+            snapshots.len() > 1 || !leaves_out,
             "{} shading images, at least 2 are needed to leave one out",
             snapshots.len()
         );
