@@ -140,8 +140,9 @@ impl Waypoint {
     }
 }
 
-/// Frames are missing where two are farther apart in time than the others by this factor.
-const GAP_FACTOR: f64 = 1.5;
+/// Frames are missing where two are farther apart in time than the median by this factor; where a scan is just being thinned, the
+/// older half of it is twice as far apart as the newer.
+const GAP_FACTOR: f64 = 2.5;
 
 /// The velocity of a camera at each place of its path, in order of time, by the neighbours in time: turn (rad/s) and shift (m/s) in the
 /// camera's frame. None is known where frames are missing, and across a break of tracking. Of a long scan every second, fourth or
@@ -421,10 +422,10 @@ mod tests {
 
     #[test]
     fn of_a_long_scan_whose_frames_are_thinned_velocities_are_known() {
-        let thinned: Vec<_> = (0..5)
-            .map(|k| (0.27 * f64::from(k), 0.027 * f64::from(k), 0))
-            .collect();
-        assert_eq!(shifts(&thinned), [0.1; 5]);
+        // The older frames are thinned once more than the newer.
+        let thinned = [0, 8, 16, 20, 24, 28, 32, 36];
+        let thinned = thinned.map(|k| (f64::from(k) / 30.0, f64::from(k) / 300.0, 0));
+        assert_eq!(shifts(&thinned), [0.1; 8]);
         assert_eq!(shifts(&thinned[..1]), [0.0]);
     }
 }
