@@ -1,8 +1,8 @@
 //! The device thread's loop: takes frames from a camera until it ends, fails, or is told to stop.
 //!
 //! A live device, which does not know how many frames will come, may be unplugged or fall silent: once it has delivered a
-//! frame it is awaited, and the stream goes on when it is back. A recording ends at its end; played at its own pace it stalls in
-//! its gaps, as the device did.
+//! frame it is awaited, and the stream goes on when it is back. A recording ends at its end; played at its own pace it is waited
+//! for through its gaps.
 
 use super::{CaptureParams, Event, EventKind, continuity::Continuity};
 use depth_camera::{CameraError, DepthCamera, Frame};
@@ -27,7 +27,7 @@ pub enum Delivery {
     Health(DeviceHealth),
 }
 
-/// How a live device is doing.
+/// How a device is doing, or was when it was recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DeviceHealth {
@@ -143,6 +143,10 @@ impl Device<'_> {
                 (!is_wanted).then_some(CaptureEnd::Unwanted)
             }
             Err(CameraError::Timeout { .. }) => self.timed_out(deliver),
+            Err(CameraError::NotDue) => {
+                self.waits(deliver);
+                None
+            }
             Err(error) if self.may_return(&error) => self.gone(error, deliver),
             Err(error) => {
                 tracing::error!(%error, "the camera failed");
@@ -169,16 +173,23 @@ impl Device<'_> {
         self.summary.n_timeouts += 1;
         let waited: Duration = self.last_heard.elapsed();
         let error = CameraError::Timeout { waited };
-        // A recording at its own pace is not silent: it waits for its next moment.
-        if self.is_live && waited >= self.params.max_silence() {
+        if waited >= self.params.max_silence() {
             return self.gone(error, deliver);
         }
         self.n_in_vain += 1;
-        let is_stalled = self.n_in_vain >= STALLED_AFTER && self.summary.n_frames > 0;
+        let is_stalled = self.n_in_vain >= STALLED_AFTER && self.is_awaited();
         if is_stalled && self.health == DeviceHealth::Streaming {
             self.turn(DeviceHealth::Stalled, deliver);
         }
         None
+    }
+
+    /// A recording waits for its next moment; after so long the device that was recorded had fallen silent.
+    fn waits(&mut self, deliver: &mut impl FnMut(Delivery) -> bool) {
+        let is_long = self.last_heard.elapsed() >= self.params.max_silence();
+        if is_long && self.health == DeviceHealth::Streaming {
+            self.turn(DeviceHealth::Stalled, deliver);
+        }
     }
 
     /// Whether the device may be waited for: it is a live one, and did stream.

@@ -184,7 +184,7 @@ fn run(mut sink: Sink, limit: Option<Duration>, stop: &AtomicBool) -> anyhow::Re
                 summary.damaged += 1;
                 frame_id
             }
-            Err(CameraError::Timeout { .. }) => continue,
+            Err(CameraError::Timeout { .. } | CameraError::NotDue) => continue,
             Err(CameraError::Disconnected) => {
                 tracing::warn!("unplugged: plug it in again and recording goes on");
                 summary.unplugged += 1;

@@ -16,6 +16,8 @@ pub enum CameraError {
         /// How long the caller waited.
         waited: Duration,
     },
+    /// A recording that is played at its own pace comes to its next frame later.
+    NotDue,
     /// One frame cannot be used; the stream goes on.
     DamagedFrame {
         /// The frame that was lost.
@@ -35,7 +37,7 @@ impl CameraError {
     pub fn is_recoverable(&self) -> bool {
         matches!(
             self,
-            CameraError::Timeout { .. } | CameraError::DamagedFrame { .. }
+            CameraError::Timeout { .. } | CameraError::NotDue | CameraError::DamagedFrame { .. }
         )
     }
 }
@@ -52,6 +54,7 @@ impl fmt::Display for CameraError {
             CameraError::Timeout { waited } => {
                 write!(f, "no frame within {:.3} s", waited.as_secs_f64())
             }
+            CameraError::NotDue => write!(f, "the recording's next frame is not due yet"),
             CameraError::DamagedFrame { frame_id, reason } => {
                 write!(f, "frame {frame_id} is damaged: {reason}")
             }

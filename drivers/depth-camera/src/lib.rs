@@ -193,8 +193,8 @@ pub trait DepthCamera: Send {
     /// Waits at most `timeout` for the next frame; `None` when the stream has ended for good.
     ///
     /// # Errors
-    /// [`CameraError::Timeout`] when no frame came in time, [`CameraError::DamagedFrame`] for one frame that cannot be
-    /// used (the stream goes on), and the other kinds when the stream is over.
+    /// [`CameraError::Timeout`] when no frame came in time, [`CameraError::NotDue`] when a recording has none for that time,
+    /// [`CameraError::DamagedFrame`] for one frame that cannot be used (the stream goes on), and the other kinds when the stream is over.
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError>;
 
     /// Stops depth while IR goes on: frames carry IR alone from then on. Of a Kinect I it is said that its projector goes dark;

@@ -37,7 +37,7 @@ impl Pacer {
     /// Sleeps until the recorded offset of a moment has passed, but for `timeout` at most.
     ///
     /// # Errors
-    /// [`CameraError::Timeout`] if the moment is not due by then.
+    /// [`CameraError::NotDue`] if the moment is later.
     pub fn wait_until_due(&mut self, time_secs: f64, timeout: Duration) -> Result<(), CameraError> {
         if self.pacing == Pacing::AsFastAsPossible {
             return Ok(());
@@ -48,7 +48,7 @@ impl Pacer {
         let remaining = offset.saturating_sub(start.elapsed());
         thread::sleep(remaining.min(timeout));
         if remaining > timeout {
-            return Err(CameraError::Timeout { waited: timeout });
+            return Err(CameraError::NotDue);
         }
         Ok(())
     }

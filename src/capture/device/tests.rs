@@ -89,11 +89,7 @@ fn a_damaged_frame_is_counted_and_told_and_the_stream_goes_on() {
 fn a_camera_that_is_gone_or_silent_ends_the_stream() {
     let (summary, _) = run(vec![frame(0), Err(CameraError::Disconnected)]);
     assert_eq!(summary.end, CaptureEnd::Failed(CameraError::Disconnected));
-    let impatient = CaptureParams {
-        max_silence_secs: 0.0,
-        ..patient(0.0)
-    };
-    let (summary, sink) = run_with(&impatient, None, vec![frame(0)]);
+    let (summary, sink) = run(vec![frame(0)]);
     assert_eq!(summary.n_timeouts, 1);
     assert!(matches!(
         summary.end,
@@ -105,18 +101,23 @@ fn a_camera_that_is_gone_or_silent_ends_the_stream() {
 #[test]
 fn a_recording_at_its_own_pace_waits_through_its_gaps() {
     use DeviceHealth::{Stalled, Streaming};
-    let answers = vec![
-        frame(0),
-        timeout(),
-        timeout(),
-        timeout(),
-        frame(1),
-        Ok(None),
-    ];
-    let (summary, sink) = run(answers);
-    assert_eq!(summary.end, CaptureEnd::EndOfStream);
-    assert_eq!(sink.frames, [0, 1]);
-    assert_eq!(sink.health, [Stalled, Streaming]);
+    let not_due = || Err(CameraError::NotDue);
+    let answers = || vec![frame(0), not_due(), not_due(), frame(1), Ok(None)];
+    let patient = CaptureParams::default();
+    let impatient = CaptureParams {
+        max_silence_secs: 0.0,
+        reconnect_secs: 0.0,
+        ..CaptureParams::default()
+    };
+    // One that is repeated does not know how many frames will come.
+    for n_frames in [Some(2), None] {
+        for (params, health) in [(&patient, &[][..]), (&impatient, &[Stalled, Streaming])] {
+            let (summary, sink) = run_with(params, n_frames, answers());
+            assert_eq!(summary.end, CaptureEnd::EndOfStream);
+            assert_eq!((summary.n_timeouts, sink.frames), (0, vec![0, 1]));
+            assert_eq!(sink.health, health);
+        }
+    }
 }
 
 /// Parameters that await a live device for so long.
