@@ -202,7 +202,8 @@ impl ReplayArgs {
 /// A scan in an output folder, and how it is read.
 #[derive(Debug, Args)]
 pub struct RecordedScanArgs {
-    /// Output folder of `relief replay`: base.ply, trajectory.txt and snapshots are read
+    /// Output folder of `relief replay`: base.ply (scene.ply where there is one), trajectory.txt and
+    /// snapshots are read
     pub output: PathBuf,
     /// Configuration; keys that it leaves out keep their defaults
     #[arg(long, value_name = "FILE")]

@@ -21,8 +21,7 @@ use relief::{
     geometry::{CameraModel, Pose, RayGrid, TriMesh},
     pipeline::{OutputFolder, RecordedScan},
     refine::{
-        Crop, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate,
-        refine, select_roi,
+        Crop, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate, refine,
     },
     shading::Calibration,
     snapshot::ShadingSnapshot,
@@ -69,16 +68,8 @@ struct Scan {
 impl Scan {
     fn new(recorded: RecordedScan, args: &EvaluateArgs, crop: Crop) -> anyhow::Result<Self> {
         let RecordedScan { info, scan } = recorded;
-        let object = match &args.scan.roi {
-            Some(roi) => select_roi(&scan.base, &roi.0),
-            None => crop
-                .object(&scan.base, &scan.world_from_cameras)
-                .map_err(anyhow::Error::msg)?,
-        };
-        ensure!(
-            !object.faces.is_empty(),
-            "no surface lies in the box given by --roi"
-        );
+        let roi = args.scan.roi.as_ref().map(|roi| &roi.0);
+        let object = scan.object(roi, crop).map_err(anyhow::Error::msg)?;
         let snapshots = scan.snapshots.context("no shading images")?.accepted;
         let leaves_out = args.folds > 0 || args.ablations;
         ensure!(

@@ -14,8 +14,8 @@ const SNAPSHOTS: &str = "snapshots";
 /// Files are read in pieces of so many bytes.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// Names the refinement of a scan with those settings by this version of the program: base mesh, poses, shading images with
-/// all that stands beside them, calibration, settings, version. Two scans of the same contents have different names.
+/// Names the refinement of a scan with those settings by this version of the program: base mesh and scene, poses, shading images
+/// with all that stands beside them, calibration, settings, version. Two scans of the same contents have different names.
 ///
 /// # Errors
 /// If the scan lacks one of these, or cannot be read.
@@ -124,6 +124,7 @@ mod tests {
         for changed in [
             "base.ply",
             "trajectory.txt",
+            "scene.ply",
             "calibration.toml",
             "snapshots/000/meta.json",
             "snapshots/000/ir.png",

@@ -251,7 +251,10 @@ impl Pipeline {
         watch
             .status
             .update(|status| (status.frames.produced, status.frames.fused) = (n_fused, n_fused));
-        let refine = refine_setup(&params, &info, &watch)?;
+        let refine = RefineSetup {
+            keeps_scene: false,
+            ..refine_setup(&params, &info, &watch)?
+        };
         let outbox = Arc::new(Outbox::new(&folder));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
@@ -414,6 +417,7 @@ fn refine_setup(
         refine: params.is_refined.then(|| params.refine.clone()),
         calibration: params.calibration.clone(),
         roi: params.roi,
+        keeps_scene: true,
         pool: pool("refine", params.n_threads)?,
         status: watch.status.clone(),
         stop: watch.stop.clone(),

@@ -7,13 +7,17 @@ use super::{
 };
 use crate::{
     export::{ExportError, StoredSnapshot, read_ply, read_snapshots, read_trajectory},
-    geometry::{CameraModel, RayGrid},
+    geometry::{CameraModel, RayGrid, TriMesh},
     refine::{Optics, surface_of_view},
     shading::Calibration,
     snapshot::{ShadingSnapshot, SnapshotSelection},
 };
 use depth_camera::CameraInfo;
-use std::path::{Path, PathBuf};
+use nalgebra::Point3;
+use std::{
+    collections::HashSet,
+    path::{Path, PathBuf},
+};
 
 /// A scan with the camera that made it.
 #[derive(Clone, Debug)]
@@ -61,10 +65,8 @@ impl RecordedScan {
     /// # Errors
     /// If a file is missing or spoilt, or there are no shading images.
     pub fn read(folder: &Path) -> Result<Self, RecordedScanError> {
-        let scene = Some(folder.join(SCENE_PLY)).filter(|path| path.is_file());
-        let fused = scene.unwrap_or_else(|| folder.join(BASE_PLY));
-        let (base, stored) = rayon::join(|| read_ply(&fused), || read_snapshots(folder));
-        let (base, stored) = (base?, stored?);
+        let (meshes, stored) = rayon::join(|| read_meshes(folder), || read_snapshots(folder));
+        let ((base, delivered), stored) = (meshes?, stored?);
         let trajectory = read_trajectory(&folder.join(TRAJECTORY))?;
         let mut info = None;
         let mut accepted = Vec::with_capacity(stored.len());
@@ -95,9 +97,33 @@ impl RecordedScan {
                     rejected: Vec::new(),
                 }),
                 last_depth: None,
+                delivered,
             },
         })
     }
+}
+
+/// What was fused, and the part of it that was delivered, if that is not all.
+fn read_meshes(folder: &Path) -> Result<(TriMesh, Option<TriMesh>), RecordedScanError> {
+    let base = read_ply(&folder.join(BASE_PLY))?;
+    let path = folder.join(SCENE_PLY);
+    if !path.is_file() {
+        return Ok((base, None));
+    }
+    let scene = read_ply(&path)?;
+    // What fills holes is not of the scene.
+    let place = |vertex: &Point3<f64>| [vertex.x, vertex.y, vertex.z].map(f64::to_bits);
+    let delivered: HashSet<[u64; 3]> = base.vertices.iter().map(place).collect();
+    let is_delivered = |vertex: &Point3<f64>| delivered.contains(&place(vertex));
+    let is_delivered: Vec<bool> = scene.vertices.iter().map(is_delivered).collect();
+    let corners_are = |face: usize| {
+        scene.faces[face]
+            .iter()
+            .all(|&at| is_delivered[at as usize])
+    };
+    let part = scene.filter_faces(corners_are);
+    let is_all = part.faces.len() == scene.faces.len();
+    Ok((scene, (!is_all).then_some(part)))
 }
 
 impl RecordedScan {
@@ -129,6 +155,7 @@ impl RecordedScan {
                     rejected: Vec::new(),
                 }),
                 last_depth: None,
+                delivered: None,
             },
             info,
         })

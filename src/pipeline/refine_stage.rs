@@ -9,7 +9,7 @@ use super::{
 use crate::{
     export::{BaseMesh, StageTiming},
     geometry::{CameraModel, RayGrid, TriMesh, close_holes},
-    refine::{ObjectParams, Optics, RefineParams, Refinement, Roi, Subject, refine, select_roi},
+    refine::{ObjectParams, Optics, RefineParams, Refinement, Roi, Subject, refine},
     shading::Calibration,
     snapshot::{ShadingSnapshot, SnapshotSelection},
 };
@@ -33,6 +33,8 @@ pub struct RefineSetup {
     pub object: ObjectParams,
     /// The box of what is refined; without one the object is taken.
     pub roi: Option<Roi>,
+    /// Whether what was fused is kept beside a base mesh that is not all of it: it is not written down yet.
+    pub keeps_scene: bool,
     /// Where refinement computes.
     pub pool: ThreadPool,
     /// Where the status goes.
@@ -86,10 +88,11 @@ pub fn run(
     let base = summary.object.as_ref().unwrap_or(&scan.base);
     let deliver = || {
         export_clock.time(|| {
-            let base_mesh = deliver_base(setup, base, outbox);
-            if summary.object.is_some() || setup.object.watertight {
+            let is_changed = summary.object.is_some() || setup.object.watertight;
+            if is_changed && setup.keeps_scene {
                 outbox.scene_mesh(&scan.base);
             }
+            let base_mesh = deliver_base(setup, base, outbox);
             if let Ok(snapshots) = &images {
                 outbox.snapshots(snapshots, &setup.info);
             }
@@ -220,16 +223,7 @@ fn close(refinement: &mut Refinement) {
 
 /// The part of the base mesh to refine, or why there is none.
 fn object_of(setup: &RefineSetup, scan: &FusedScan) -> Result<TriMesh, String> {
-    let object = match &setup.roi {
-        Some(roi) => select_roi(&scan.base, roi),
-        None => {
-            let crop = setup.object.crop;
-            crop.object(&scan.base, &scan.world_from_cameras)?
-        }
-    };
-    if object.faces.is_empty() {
-        return Err("no surface lies in the box given by --roi".to_owned());
-    }
+    let object = scan.object(setup.roi.as_ref(), setup.object.crop)?;
     tracing::info!(
         faces = object.faces.len(),
         area_m2 = object.area_m2(),

@@ -77,6 +77,7 @@ impl FusionStage {
                 world_from_cameras: trajectory.iter().map(|(_, pose)| *pose).collect(),
                 snapshots,
                 last_depth: self.last_depth.take(),
+                delivered: None,
             }));
             self.send(Tracked::Trajectory(trajectory));
         }

@@ -30,6 +30,7 @@ use crate::{
     export::StageTiming,
     fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics},
     geometry::{CameraModel, Pose, TriMesh},
+    refine::{Crop, Roi, select_roi},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector},
 };
 use crossbeam::{
@@ -93,6 +94,29 @@ pub struct FusedScan {
     pub snapshots: Option<SnapshotSelection>,
     /// The last depth image that was fused, metres.
     pub last_depth: Option<Image<f32>>,
+    /// The part of the surface that was delivered when the scan was made; `None` if that is all, or none has been yet.
+    pub delivered: Option<TriMesh>,
+}
+
+impl FusedScan {
+    /// The part that is refined: what lies in a box, or what a crop takes. Where neither says anything it is what was delivered when
+    /// the scan was made.
+    ///
+    /// # Errors
+    /// Says for the operator why nothing is left.
+    pub fn object(&self, roi: Option<&Roi>, crop: Crop) -> Result<TriMesh, String> {
+        if let Some(roi) = roi {
+            let object = select_roi(&self.base, roi);
+            return match object.faces.is_empty() {
+                true => Err("no surface lies in the box given by --roi".to_owned()),
+                false => Ok(object),
+            };
+        }
+        match (crop, &self.delivered) {
+            (Crop::Auto, Some(part)) => Ok(part.clone()),
+            _ => crop.object(&self.base, &self.world_from_cameras),
+        }
+    }
 }
 
 /// What became of the frames.
