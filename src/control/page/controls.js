@@ -9,10 +9,10 @@ const HOLDING = ['tracking', 'degraded'];
 /** In which states a button can be pressed. In a fault a scan may go on, and can be ended; only without one can another be started. */
 const ALLOWED = {
   start: ['idle', 'fault'],
-  pause: [...RUNNING, 'fault'],
+  pause: RUNNING,
   resume: ['paused'],
   snapshot: HOLDING,
-  undo: [...HOLDING, 'lost', 'relocalising', 'paused', 'fault'],
+  undo: [...HOLDING, 'lost', 'relocalising', 'paused'],
   reset: [...SCANNING, 'fault'],
   stop: [...SCANNING, 'fault'],
 };
@@ -54,8 +54,8 @@ export class Controls {
   }
 
   #isScanning() {
-    const { state, scan } = this.#status ?? {};
-    return SCANNING.includes(state) || (state === 'fault' && Boolean(scan));
+    const { state, scan, phase } = this.#status ?? {};
+    return SCANNING.includes(state) || (state === 'fault' && Boolean(scan) && phase === 'capturing');
   }
 
   #isAllowed(name) {
