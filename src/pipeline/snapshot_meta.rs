@@ -52,6 +52,8 @@ impl SnapshotMeta {
         let sensor = Sensor::from_name(&self.sensor)
             .ok_or_else(|| format!("sensor is \"{}\", which is unknown", self.sensor))?;
         let i = &self.intrinsics;
+        i.check_size()
+            .map_err(|what| format!("intrinsics.{what}"))?;
         for (key, focal_px) in [("fx", i.fx), ("fy", i.fy)] {
             if !(focal_px > 0.0 && focal_px.is_finite()) {
                 return Err(format!("intrinsics.{key} is {focal_px}, must be positive"));
