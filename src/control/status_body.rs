@@ -22,7 +22,7 @@ pub struct StatusBody {
     pub advice: Option<&'static str>,
     /// `idle`, `capturing`, `meshing`, `refining`, `exporting`.
     pub phase: &'static str,
-    /// What is done to the scan at its end, and how far that is.
+    /// What is done to the scan at its end, or while frames are taken back, and how far that is.
     pub improvement: Option<ImprovementBody>,
     /// The scan that goes on.
     pub scan: Option<ScanBody>,

@@ -1,8 +1,8 @@
-//! What is done to a scan at its end, and who is told how far it is.
+//! What is done to a scan at its end, or while frames are taken back, and who is told how far it is.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How far one kind of work at the end of a scan is.
+/// How far one kind of work is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Improvement {
     /// Which.

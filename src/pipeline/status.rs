@@ -60,7 +60,8 @@ pub struct Status {
     pub snapshots: SnapshotCounts,
     /// Kinect I: how far the guided sequence of the next shading image is; `None` with other sensors.
     pub kinect1_sequence: Option<SequenceStatus>,
-    /// What is done to the scan at its end before its mesh is taken out of the volume, and how far that is.
+    /// What is done to the scan at its end before its mesh is taken out of the volume, or while frames are taken back, and how far
+    /// that is.
     pub improvement: Option<Improvement>,
     /// How far refinement in this process is.
     pub refinement: RefinementProgress,
