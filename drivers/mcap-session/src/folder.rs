@@ -106,7 +106,7 @@ pub fn sync_folder(folder: &Path) -> Result<(), RecordingError> {
         .map_err(io_error(folder))
 }
 
-/// The folder's `.mcap` files by name.
+/// The folder's `.mcap` files by name, as one counts: ROS writes `bag_2.mcap` before `bag_10.mcap`.
 fn mcap_files(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(folder) else {
         return Vec::new();
@@ -115,11 +115,48 @@ fn mcap_files(folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = paths
         .filter(|path| is_mcap(path) && path.is_file())
         .collect();
-    files.sort();
+    files.sort_by_cached_key(|path| {
+        let name = path.file_name().unwrap_or_default();
+        (counted(&name.to_string_lossy()), name.to_owned())
+    });
     files
+}
+
+/// A name as pieces of text, each with the number behind it.
+fn counted(name: &str) -> Vec<(String, u64)> {
+    let mut pieces = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let is_digit = |c: char| c.is_ascii_digit();
+        let digits_at = rest.find(is_digit).unwrap_or(rest.len());
+        let (text, tail) = rest.split_at(digits_at);
+        let behind = tail.find(|c| !is_digit(c)).unwrap_or(tail.len());
+        let (digits, tail) = tail.split_at(behind);
+        pieces.push((text.to_owned(), digits.parse().unwrap_or(u64::MAX)));
+        rest = tail;
+    }
+    pieces
 }
 
 fn is_mcap(path: &Path) -> bool {
     path.extension()
         .is_some_and(|extension| extension == "mcap")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_a_bag_are_in_the_order_in_which_they_were_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let written = (0..12).map(|k| format!("bag_{k}.mcap"));
+        let written: Vec<String> = written.chain(["later.mcap".to_owned()]).collect();
+        for name in written.iter().rev() {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let found = files(folder.path()).unwrap();
+        let names = found.iter().map(|path| path.file_name().unwrap());
+        assert!(names.eq(written.iter().map(|name| name.as_str())));
+    }
 }
