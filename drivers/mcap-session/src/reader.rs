@@ -26,6 +26,8 @@ pub enum Step {
 pub struct MessageReader {
     files: VecDeque<PathBuf>,
     open: Option<OpenFile>,
+    /// Whether a file has been opened.
+    has_begun: bool,
 }
 
 struct OpenFile {
@@ -40,6 +42,7 @@ impl MessageReader {
         MessageReader {
             files: files.iter().cloned().collect(),
             open: None,
+            has_begun: false,
         }
     }
 
@@ -114,7 +117,13 @@ impl MessageReader {
         let Some(path) = self.files.pop_front() else {
             return Ok(Step::End);
         };
-        let walk = Walk::open(&path)?;
+        let walk = match Walk::open(&path) {
+            Ok(walk) => walk,
+            // In the midst of a recording it costs itself; those behind it are read.
+            Err(error) if self.has_begun => return Ok(Step::Damaged(error.to_string())),
+            Err(error) => return Err(error),
+        };
+        self.has_begun = true;
         let mut definitions = Definitions::default();
         if walk.is_own() {
             definitions.add_own();

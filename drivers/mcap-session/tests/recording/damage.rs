@@ -132,10 +132,13 @@ fn a_segment_that_is_missing_is_found_and_the_others_are_played() {
 
     let lost = play(&segments[1]).unwrap().frames.len() as u64;
     assert!(lost > 0);
+    let left = N_FRAMES - lost;
+    // One of which nothing is left.
+    fs::write(&segments[1], "").unwrap();
+    assert_eq!(play(&path).unwrap().frames.len() as u64, left);
     fs::remove_file(&segments[1]).unwrap();
     let reports = verify(&path).unwrap();
     let problems: Vec<&String> = reports.iter().flat_map(|report| &report.problems).collect();
-    let left = N_FRAMES - lost;
     let expected = format!(
         "the recording has {N_FRAMES} depth images of which {left} were found, {N_FRAMES} IR images of which {left} were found"
     );
