@@ -1,6 +1,6 @@
 //! `session.json`: what a recording is, how far it came, and how it ended.
 
-use std::{fs, path::Path};
+use std::{fs, io::Write, path::Path};
 
 use serde::{Deserialize, Serialize};
 
@@ -175,7 +175,12 @@ impl SessionRecord {
     /// What the system says.
     pub fn write(&self, folder: &Path) -> Result<(), RecordingError> {
         let path = folder.join(FILE_NAME);
-        replay::write_whole_file(&path, |out| Ok(serde_json::to_writer_pretty(out, self)?))?;
+        replay::write_whole_file(&path, |out| {
+            serde_json::to_writer_pretty(&mut *out, self)?;
+            // A name may reach the disk before what it names.
+            out.flush()?;
+            out.get_ref().sync_all()
+        })?;
         Ok(())
     }
 }
