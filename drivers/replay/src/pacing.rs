@@ -43,13 +43,29 @@ impl Pacer {
             return Ok(());
         }
         let (start, first_secs) = *self.start.get_or_insert((Instant::now(), time_secs));
-        // A gap too long for the clock is waited for one timeout after the other.
-        let offset = Duration::try_from_secs_f64(time_secs - first_secs).unwrap_or(Duration::MAX);
+        // A gap too long for the clock is waited for one timeout after the other; what is earlier than the first moment is due.
+        let offset_secs = (time_secs - first_secs).max(0.0);
+        let offset = Duration::try_from_secs_f64(offset_secs).unwrap_or(Duration::MAX);
         let remaining = offset.saturating_sub(start.elapsed());
         thread::sleep(remaining.min(timeout));
         if remaining > timeout {
             return Err(CameraError::NotDue);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moments_are_due_at_their_offset_and_those_before_the_first_at_once() {
+        let mut pacer = Pacer::new(Pacing::Recorded);
+        let mut wait = |time_secs| pacer.wait_until_due(time_secs, Duration::ZERO);
+        assert_eq!(wait(100.0), Ok(()));
+        assert_eq!(wait(1000.0), Err(CameraError::NotDue));
+        assert_eq!(wait(1e300), Err(CameraError::NotDue));
+        assert_eq!(wait(7.0), Ok(()));
     }
 }
