@@ -47,7 +47,7 @@ impl DeviceThread {
         };
         let mut stream = match self.open(&context, &serial) {
             Ok((stream, record)) => {
-                self.report(Ok(record));
+                self.is_back(record);
                 stream
             }
             Err(error) => return self.report(Err(error)),
@@ -56,7 +56,7 @@ impl DeviceThread {
             drop(stream);
             match self.reopen(&context, &serial) {
                 Some((again, record)) => {
-                    self.report(Ok(record));
+                    self.is_back(record);
                     stream = again;
                 }
                 None => return,
@@ -98,6 +98,12 @@ impl DeviceThread {
         let stream = context.stream(serial, self.slot.clone())?;
         let record = stream.record(serial)?;
         Ok((stream, record))
+    }
+
+    /// Tells the camera of the stream. What it asked for while the device was being opened is done by that.
+    fn is_back(&self, record: DeviceRecord) {
+        while self.commands.try_recv().is_ok() {}
+        self.report(Ok(record));
     }
 
     /// Tells the camera; one that is gone needs no telling.
