@@ -2,6 +2,7 @@
 
 use std::{
     sync::{Arc, atomic::Ordering},
+    thread,
     time::Duration,
 };
 
@@ -95,6 +96,11 @@ impl Control {
 
     /// The error that says so, if the device thread is inside a call that has taken too long.
     pub(crate) fn stuck(&self) -> Option<CameraError> {
+        if self.shared.heartbeat.now().1 <= CALL_LIMIT {
+            return None;
+        }
+        // Where the whole process was stopped, its threads go on together: the device thread is given the time for that.
+        thread::sleep(LOOK_INTERVAL);
         let (activity, since) = self.shared.heartbeat.now();
         (since > CALL_LIMIT).then(|| {
             let secs = since.as_secs_f64();
