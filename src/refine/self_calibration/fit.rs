@@ -152,6 +152,10 @@ impl Unknowns {
     pub fn calibration(&self, believed: &Calibration) -> Calibration {
         let mut calibration = believed.clone();
         calibration.gamma = 1.0 / self.inv_gamma;
+        // White is as many counts as before, which are another intensity now.
+        let by_gamma = believed.gamma / calibration.gamma;
+        let white = &mut calibration.light.white_level;
+        *white = white.map(|level| level.powf(by_gamma));
         calibration.light.position_m = Some(self.light.position.coords.into());
         calibration.light.lobe_power = self.light.lobe_power;
         calibration
