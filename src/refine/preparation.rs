@@ -303,12 +303,14 @@ impl Preparation {
         };
         let n_views = self.views.len();
         let pairs = self.views.iter().zip(subject.snapshots);
-        match pairs.filter(is_saturated).count() {
-            0 => RefineError::NothingVisible { n_views },
-            n_saturated => RefineError::Saturated {
+        let n_saturated = pairs.filter(is_saturated).count();
+        // Single ones do not explain why the others show nothing.
+        match 2 * n_saturated > n_views {
+            true => RefineError::Saturated {
                 n_saturated,
                 n_views,
             },
+            false => RefineError::NothingVisible { n_views },
         }
     }
 }
