@@ -124,7 +124,7 @@ pub fn frame_counts(endings: &Endings) -> FrameCounts {
 /// The warning about a refined mesh that nothing could judge.
 fn unjudged(refinement: &Refinement) -> Option<String> {
     (refinement.judgement.overall.n_pixels == 0).then(|| {
-        "too few shading images to hold one out: nothing says whether the refined mesh is better than the base mesh"
+        "no shading image could be held out that shows the object: nothing says whether the refined mesh is better than the base mesh"
             .to_owned()
     })
 }
@@ -264,7 +264,7 @@ fn refined_mesh(
 fn held_out(judgement: &Judgement) -> HeldOut {
     let overall = &judgement.overall;
     HeldOut {
-        n_views: judgement.views.len(),
+        n_views: judgement.n_comparing(),
         intensity_base: overall.base.intensity,
         intensity_refined: overall.refined.intensity,
         intensity_noise: overall.noise.intensity,

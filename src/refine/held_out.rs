@@ -64,6 +64,12 @@ impl Judgement {
         }
     }
 
+    /// How many of them show anything of the surface, and so judge it.
+    pub fn n_comparing(&self) -> usize {
+        let views = self.views.iter();
+        views.filter(|(_, said)| said.n_pixels > 0).count()
+    }
+
     /// Whether the base surface explains them better, in intensity or in its gradient.
     pub fn prefers_base(&self) -> bool {
         let HeldOut { base, refined, .. } = &self.overall;
