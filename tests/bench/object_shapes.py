@@ -157,7 +157,53 @@ def figure(random):
     return merged([body, head, *arms]), "round"
 
 
+def bowl(random):
+    """Deep and open: light goes from wall to wall. Flutes, a wavy line and a ring of beads inside, grooves outside."""
+    theta = np.linspace(0, 2 * np.pi, 1600, endpoint=False)
+    inner, lip, outer = np.linspace(1e-3, np.pi / 2, 420), np.linspace(0, np.pi, 60)[1:-1], np.linspace(np.pi / 2, 0.35, 420)
+    # From the middle of the inside over the rim to the foot, about a centre as high as the rim.
+    r = np.concatenate([0.08 * np.sin(inner), 0.084 - 0.004 * np.cos(lip), 0.088 * np.sin(outer)])
+    z = np.concatenate([-0.08 * np.cos(inner), 0.004 * np.sin(lip), -0.088 * np.cos(outer)])
+    polar = np.concatenate([inner, np.full(len(lip), np.pi / 2), outer])[:, None]
+    is_inside, is_outside = np.arange(len(r))[:, None] < len(inner), np.arange(len(r))[:, None] >= len(r) - len(outer)
+    height = 0.0007 * np.cos(28 * theta) * np.exp(-((polar - 0.62) / 0.2) ** 4)
+    height += 0.0009 * np.exp(-((polar - 1.0 - 0.05 * np.sin(9 * theta)) * 0.08 / 0.0012) ** 2)
+    beads = [(0.08 * 2 * np.pi * i / 22, 0.08 * 1.22) for i in range(22)]
+    height += bumps(0.08 * theta[None, :], 0.08 * polar, beads, 0.004, 0.0013)
+    grooves = 0.0006 * np.sin(polar * 60) * np.exp(-((polar - 1.05) / 0.25) ** 4)
+    across = -(is_inside * height + is_outside * grooves)
+    r, z = r[:, None] + across * np.sin(polar), z[:, None] - across * np.cos(polar)
+    points = np.stack([r * np.cos(theta), r * np.sin(theta), np.broadcast_to(z - z.min(), r.shape)], -1)
+    foot = turned(np.outer(np.linspace(1e-4, 1, 60), r[-1]), np.full(60, (z - z.min())[-1].mean()), theta, 0.6)
+    return merged([sheet(points[::-1], 0.6, wraps=True), foot]), "above"
+
+
+def chest(random):
+    """Flat sides that meet in sharp edges, each with a raised frame, rosettes and carved strokes; another albedo for the lid."""
+    parts, (wide, deep, high) = [], (0.15, 0.1, 0.11)
+    sides = [(wide, high, 0, deep), (deep, high, 90, wide), (wide, high, 180, deep), (deep, high, 270, wide)]
+    for across, up, turn, through in sides:
+        x, y = np.linspace(-across / 2, across / 2, int(across / 0.0004)), np.linspace(0, up, int(up / 0.0004))
+        gx, gy = np.meshgrid(x, y)
+        inset = np.minimum(across / 2 - np.abs(gx), np.minimum(gy, up - gy))
+        relief = -0.0015 * np.clip((inset - 0.012) / 0.0006, 0, 1)
+        panel = inset > 0.016
+        centres = [(cx, up / 2) for cx in np.arange(-across / 2 + 0.035, across / 2 - 0.03, 0.03)]
+        relief += bumps(gx, gy, centres, 0.009, 0.0014) * (1 + 0.25 * np.cos(0.5e3 * np.pi * np.hypot(np.mod(gx, 0.03) - 0.015, gy - up / 2)))
+        strokes = np.abs(np.mod(gx + 0.3 * gy * np.sign(np.sin(gy * 300)), 0.007) - 0.0035) < 0.0006
+        relief -= 0.0007 * (strokes & panel & (np.abs(np.abs(gy - up / 2) - 0.022) < 0.006))
+        points = np.stack([gx, np.full_like(gx, -through / 2) - relief, gy], -1) @ Rotation.from_euler("z", turn, degrees=True).as_matrix().T
+        parts.append(sheet(points, 0.6))
+    x, y = np.linspace(-wide / 2, wide / 2, 375), np.linspace(-deep / 2, deep / 2, 250)
+    gx, gy = np.meshgrid(x, y)
+    lid = high + 0.0012 * np.clip(np.sin(gx * 420) * np.sin(gy * 420), 0, 1) * (np.minimum(wide / 2 - np.abs(gx), deep / 2 - np.abs(gy)) > 0.012)
+    parts.append(sheet(np.stack([gx, gy, lid], -1), 0.4))
+    return merged(parts), "round"
+
+
 OBJECTS = {
+    "bowl": bowl,
+    "chest": chest,
     "vase": vase,
     "tablet": tablet,
     "stained": lambda random: tablet(random, stained=0.12),

@@ -6,7 +6,8 @@
 
 Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pressed into clay, from the front), `stained` (the
 same, of an albedo that changes slowly), `painted` (the same, with an ornament), `gear` (sharp
-teeth, letters cut into the top, from above), `figure` (folds, thin arms, all round). They stand on a grey table among boxes.
+teeth, letters cut into the top, from above), `figure` (folds, thin arms, all round), `bowl` (deep, light goes from wall to wall,
+from above), `chest` (sharp edges, frames and strokes, all round). They stand on a grey table among boxes.
 
 Light that goes over one other surface is in the images: rays on the true surface, over four points of a pixel.
 
