@@ -492,8 +492,8 @@ fn firsts(image: &Image<f32>, [u, v]: &[Lane; 2]) -> [usize; LANES] {
     first.map(|at| at as usize)
 }
 
-/// Keeps those points that lie on or before the surface of a depth buffer; of the four pixels round each the farthest counts,
-/// since the nearest may belong to another surface's rim.
+/// Keeps those points that no pixel of the four round each shows a surface before. One that is seen aslant from afar hides itself in
+/// places, by what a pixel is deep; that leaves out what tells least (docs/experiments.md).
 #[inline(always)]
 fn keep_unhidden(lens: &Lens, depth_m: &Image<f32>, points: &Lanes3, kept: &mut [bool; LANES]) {
     let (pixel, is_inside) = pixels(lens, points);
