@@ -219,7 +219,10 @@ impl Gatherer {
                 .map(Place::Wall)?,
             Target::Sphere(sphere) => {
                 let centre = snapshot.world_from_camera.inverse() * sphere.centre_world;
-                (centre.z > sphere.radius_m).then_some(Place::Sphere(centre))?
+                // Nothing in an image without the ball would say where it is.
+                let camera = self.rays.camera();
+                let is_in_view = camera.contains(&camera.project(&centre)?, 0.0);
+                (is_in_view && centre.z > sphere.radius_m).then_some(Place::Sphere(centre))?
             }
         };
         Some(TargetImage {
@@ -235,4 +238,39 @@ impl Gatherer {
 fn has_depth(depth: &Image<f32>) -> bool {
     let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
     n_valid as f64 >= MIN_VALID_SHARE * depth.data().len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use depth_camera::DepthCamera;
+    use simulated::SimulatedCamera;
+
+    #[test]
+    fn an_image_without_the_ball_is_none_of_the_ball() {
+        let info = SimulatedCamera::kinect2_plaque(1, 0).info().clone();
+        let gatherer = Gatherer::new(&info, FusionParams::default()).expect("it has a light");
+        let (width, height) = (info.intrinsics.width, info.intrinsics.height);
+        let is_used = |x: f64, z: f64| {
+            let snapshot = ShadingSnapshot {
+                frame_id: 0,
+                device_time_secs: 0.0,
+                n_exposures: 1,
+                ir_counts: Image::filled(width, height, 1000.0),
+                unlit_counts: None,
+                depth_m: Image::filled(width, height, 1.0),
+                world_from_camera: Pose::identity(),
+            };
+            let sphere = FoundSphere {
+                centre_world: Point3::new(x, 0.0, z),
+                radius_m: 0.1,
+                radius_sigma_m: 0.001,
+                coverage: 1.0,
+            };
+            gatherer.placed(snapshot, Target::Sphere(sphere)).is_some()
+        };
+        assert!(is_used(0.0, 0.6));
+        assert!(!is_used(0.9, 0.6), "beside the picture");
+        assert!(!is_used(0.0, -0.6), "behind the camera");
+    }
 }
