@@ -16,6 +16,9 @@ use std::{
 /// A live device stalls when so many waits in a row are in vain.
 const STALLED_AFTER: usize = 2;
 
+/// A gap of a recording is a device that had fallen silent after so long at most: the daemon's watchdog waits twice as long for frames.
+const LONG_GAP: Duration = Duration::from_secs(10);
+
 /// What the device thread hands on.
 #[derive(Clone, Debug)]
 pub enum Delivery {
@@ -186,7 +189,7 @@ impl Device<'_> {
 
     /// A recording waits for its next moment; after so long the device that was recorded had fallen silent.
     fn waits(&mut self, deliver: &mut impl FnMut(Delivery) -> bool) {
-        let is_long = self.last_heard.elapsed() >= self.params.max_silence();
+        let is_long = self.last_heard.elapsed() >= self.params.max_silence().min(LONG_GAP);
         if is_long && self.health == DeviceHealth::Streaming {
             self.turn(DeviceHealth::Stalled, deliver);
         }
