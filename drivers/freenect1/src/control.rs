@@ -76,11 +76,17 @@ impl Control {
         command: Command,
         answered: &Receiver<Result<T, CameraError>>,
     ) -> Result<T, CameraError> {
-        match self.commands.send_timeout(command, CALL_LIMIT) {
-            Ok(()) => {}
-            Err(SendTimeoutError::Timeout(_)) => return Err(self.stuck().unwrap_or_else(ended)),
-            // What it did last was to close the device, however long ago.
-            Err(SendTimeoutError::Disconnected(_)) => return Err(ended()),
+        let mut waiting = Some(command);
+        while let Some(command) = waiting.take() {
+            match self.commands.send_timeout(command, CALL_LIMIT) {
+                Ok(()) => {}
+                Err(SendTimeoutError::Timeout(command)) => match self.stuck() {
+                    Some(error) => return Err(error),
+                    None => waiting = Some(command),
+                },
+                // What it did last was to close the device, however long ago.
+                Err(SendTimeoutError::Disconnected(_)) => return Err(ended()),
+            }
         }
         loop {
             match answered.recv_timeout(LOOK_INTERVAL) {

@@ -27,6 +27,9 @@ const PUMP_TIMEOUT: Duration = Duration::from_millis(10);
 /// A stream that brings nothing for so long will not: the slowest, IR at full size, has 10 frames a second.
 const SILENCE_LIMIT: Duration = Duration::from_secs(2);
 
+/// A turn takes as long as pumping and a command; where it took longer the process was stopped.
+const AWAY: Duration = Duration::from_secs(1);
+
 /// How long one wait for the word of a device that has gone lasts: commands must not wait much longer.
 const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -168,9 +171,16 @@ impl DeviceThread {
     }
 
     fn stream(&self, context: &Context, device: &Device<'_>) -> End {
+        let mut turn = Instant::now();
+        let mut awake_since = turn;
         loop {
             self.shared.heartbeat.enter(Activity::Streaming);
-            if let Err(error) = context.pump(PUMP_TIMEOUT).and_then(|()| self.watch()) {
+            if turn.elapsed() > AWAY {
+                awake_since = Instant::now();
+            }
+            turn = Instant::now();
+            let pumped = context.pump(PUMP_TIMEOUT);
+            if let Err(error) = pumped.and_then(|()| self.watch(awake_since)) {
                 return End::Failed(error);
             }
             self.publish();
@@ -231,9 +241,12 @@ impl DeviceThread {
         Ok(read_back)
     }
 
-    /// Whether a stream that runs has been silent for too long.
-    fn watch(&self) -> Result<(), CameraError> {
+    /// Whether a stream that runs has been silent for too long; nobody listened while the process itself was stopped.
+    fn watch(&self, awake_since: Instant) -> Result<(), CameraError> {
         let now = Instant::now();
+        if now - awake_since <= SILENCE_LIMIT {
+            return Ok(());
+        }
         let assembler = self.assembler.borrow();
         check_silence("depth", assembler.depth_silence(now))?;
         check_silence("IR", assembler.ir_silence(now))
