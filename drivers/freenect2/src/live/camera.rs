@@ -148,9 +148,6 @@ impl Freenect2Camera {
     fn wait_for_return(&mut self, timeout: Duration) -> Result<(), CameraError> {
         let deadline = Instant::now() + timeout;
         let record = loop {
-            if self.heard() == Some(Action::Added) {
-                self.look_for_device();
-            }
             let remaining = deadline.saturating_duration_since(Instant::now());
             match wait_for_report(&self.reports, remaining.min(LISTEN_INTERVAL)) {
                 Err(CameraError::Timeout { .. }) if remaining > LISTEN_INTERVAL => {}
@@ -158,6 +155,10 @@ impl Freenect2Camera {
                     return Err(CameraError::Timeout { waited: timeout });
                 }
                 report => break report?,
+            }
+            // After the report, so that nothing is asked for that has been done.
+            if self.heard() == Some(Action::Added) {
+                self.look_for_device();
             }
         };
         // Opening resets the device, which is no unplugging.
