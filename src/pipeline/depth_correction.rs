@@ -142,7 +142,9 @@ impl DepthCorrection {
         for prediction in self.predictions.values_mut() {
             before.recalibrate(prediction, &by);
         }
-        if let Some(first) = fusion.keyframes().first().filter(|_| !self.is_measured) {
+        if self.is_measured {
+            self.recalibrated = calibration.light.white_level.map(WhiteLevel);
+        } else if let Some(first) = fusion.keyframes().first() {
             let nearest = self.prediction_near(first.time_secs);
             self.recalibrated =
                 nearest.and_then(|near| by.plausible_white(&first.depth_m(), near.prediction));
