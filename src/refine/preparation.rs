@@ -286,26 +286,26 @@ impl Preparation {
 
     fn why_nothing_is_visible(&self, subject: &Subject) -> RefineError {
         let full_scale = subject.optics.full_scale;
-        let is_saturated = |(view, snapshot): &(&View, &ShadingSnapshot)| {
+        // Pixels on the object, and those of them that are white.
+        let looks = |(view, snapshot): (&View, &ShadingSnapshot)| {
             let counts = &snapshot.ir_counts;
             let pixels = self.levels[0].mesh.vertices.iter();
             let pixels =
                 pixels.filter_map(|point| view.pixel(point, &view.tracked_camera_from_world));
             let inside = pixels.filter(|pixel| view.camera().contains(pixel, 0.0));
-            let (n, n_white) = inside.fold((0, 0), |(n, n_white), pixel| {
+            inside.fold((0, 0), |(n, n_white), pixel| {
                 let value = f64::from(*counts.at(pixel.x as usize, pixel.y as usize));
-                (
-                    n + 1,
-                    n_white + usize::from(value >= SATURATION * full_scale),
-                )
-            });
-            2 * n_white > n
+                let is_white = value >= SATURATION * full_scale;
+                (n + 1, n_white + usize::from(is_white))
+            })
         };
         let n_views = self.views.len();
-        let pairs = self.views.iter().zip(subject.snapshots);
-        let n_saturated = pairs.filter(is_saturated).count();
-        // Single ones do not explain why the others show nothing.
-        match 2 * n_saturated > n_views {
+        let looks = self.views.iter().zip(subject.snapshots).map(looks);
+        let looking: Vec<(usize, usize)> = looks.filter(|(n, _)| *n > 0).collect();
+        let is_saturated = |(n, n_white): &&(usize, usize)| 2 * n_white > *n;
+        let n_saturated = looking.iter().filter(is_saturated).count();
+        // Few of them do not explain why the others that look at it show nothing.
+        match 2 * n_saturated > looking.len() {
             true => RefineError::Saturated {
                 n_saturated,
                 n_views,
