@@ -59,8 +59,9 @@ export class Controls {
   }
 
   #isAllowed(name) {
-    const state = this.#status?.state;
-    return ALLOWED[name].includes(state) && (state !== 'fault' || this.#isScanning() === (name !== 'start'));
+    const { state, scan } = this.#status ?? {};
+    const fits = name === 'start' ? !scan : this.#isScanning();
+    return ALLOWED[name].includes(state) && (state !== 'fault' || fits);
   }
 
   #update() {
