@@ -50,11 +50,6 @@ fn a_description_that_makes_no_sense_is_refused() {
             "fx = 0.0 # ",
             ["session.toml", "ir_camera.fx is 0, must be positive"],
         ),
-        (
-            "width = ",
-            "width = 16000 # ",
-            ["session", "must be below 8388608 pixels"],
-        ),
     ] {
         let bench = Workbench::with_frames(1);
         bench.edit("session.toml", old, new);
@@ -63,6 +58,17 @@ fn a_description_that_makes_no_sense_is_refused() {
         assert_eq!(summary(&output)["status"], "failed");
         assert!(!bench.path("out").exists());
     }
+}
+
+#[test]
+fn images_that_are_too_large_to_work_on_are_refused() {
+    let bench = Workbench::with_frames(1);
+    bench.edit("session.toml", "width = ", "width = 4096 # ");
+    bench.edit("session.toml", "height = ", "height = 2048 # ");
+    let output = bench.replay(&[]);
+    let pieces = ["session: width × height is 4096 × 2048", "below 8388608"];
+    assert_says(&output, 1, &pieces);
+    assert!(!bench.path("out").exists());
 }
 
 #[test]

@@ -2,7 +2,11 @@
 
 use crate::support::{PROGRAM, Workbench, assert_says, record, small_camera, summary};
 use relief::{export::read_ply, geometry::EdgeAdjacency};
-use std::{fs, path::Path, process::Command};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 #[test]
 fn a_closed_part_of_the_scene_is_delivered_on_request() {
@@ -20,46 +24,60 @@ fn a_closed_part_of_the_scene_is_delivered_on_request() {
     assert!(base.faces.len() > 1000 && base.vertices.iter().all(within));
 }
 
+fn replayed_demo(scan: &Path, more: &[&str]) {
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
+    let fixed = [demo.to_str().unwrap(), "--out", scan.to_str().unwrap()];
+    let output = Command::new(PROGRAM)
+        .arg("replay")
+        .args(fixed)
+        .arg("--no-refine")
+        .args(more)
+        .output()
+        .unwrap();
+    assert_says(&output, 0, &[]);
+}
+
+/// What a scan is refined into.
+fn refined(scan: &Path, more: &[&str]) -> PathBuf {
+    let out = scan.with_extension("refined");
+    let fixed = [scan.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let output = Command::new(PROGRAM)
+        .arg("refine")
+        .args(fixed)
+        .args(more)
+        .output()
+        .unwrap();
+    assert_says(&output, 0, &[]);
+    assert!(!out.join("scene.ply").exists(), "it is kept with the scan");
+    out.join("refined.ply")
+}
+
 /// A part alone, closed, is not what a refinement takes for measured: it begins with all that was fused, as the run itself did.
 #[test]
 fn what_is_refined_does_not_depend_on_what_was_delivered() {
     let workbench = Workbench::empty();
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
-    let run = |arguments: &[&str]| {
-        let output = Command::new(PROGRAM).args(arguments).output().unwrap();
-        assert_says(&output, 0, &[]);
-    };
     let config = workbench.write("crop.toml", "[object]\ncrop = \"object\"\n");
-    let refined = [
-        ("whole", &[][..]),
-        ("part", &["--crop", "object", "--watertight"]),
-    ]
-    .map(|(name, cropped)| {
-        let [scan, out] = [
-            workbench.path(name),
-            workbench.path(&format!("{name}-refined")),
-        ];
-        let [scan, out] = [&scan, &out].map(|path| path.to_str().unwrap());
-        let replay = [
-            "replay",
-            demo.to_str().unwrap(),
-            "--out",
-            scan,
-            "--no-refine",
-        ];
-        run(&[&replay[..], cropped].concat());
-        assert_eq!(Path::new(scan).join("scene.ply").exists(), name == "part");
-        run(&[
-            "refine",
-            scan,
-            "--out",
-            out,
-            "--config",
-            config.to_str().unwrap(),
-        ]);
-        fs::read(Path::new(out).join("refined.ply")).unwrap()
-    });
-    assert!(refined[0] == refined[1]);
+    let config = ["--config", config.to_str().unwrap()];
+    let [whole, part] = ["whole", "part"].map(|name| workbench.path(name));
+    replayed_demo(&whole, &[]);
+    replayed_demo(&part, &["--crop", "object", "--watertight"]);
+    assert!(part.join("scene.ply").exists() && !whole.join("scene.ply").exists());
+    let of_whole = refined(&whole, &config);
+    assert!(fs::read(&of_whole).unwrap() == fs::read(refined(&part, &config)).unwrap());
+
+    // Without a crop of its own a refinement takes the part that was delivered: here the left half of the object.
+    let mesh = read_ply(&of_whole).unwrap();
+    let along = |axis: usize| mesh.vertices.iter().map(move |vertex| vertex[axis]);
+    let least = [0, 1, 2].map(|axis| along(axis).fold(f64::INFINITY, f64::min) - 0.01);
+    let most = [0, 1, 2].map(|axis| along(axis).fold(f64::NEG_INFINITY, f64::max) + 0.01);
+    let middle = 0.5 * (least[0] + most[0]);
+    let [x, y, z] = least;
+    let crop = format!("box={x},{y},{z},{middle},{},{}", most[1], most[2]);
+    let half = workbench.path("half");
+    replayed_demo(&half, &["--crop", &crop]);
+    let half = read_ply(&refined(&half, &[])).unwrap();
+    assert!(half.faces.len() > 1000);
+    assert!(half.vertices.iter().all(|vertex| vertex.x < middle + 0.005));
 }
 
 #[test]
