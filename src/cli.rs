@@ -35,7 +35,7 @@ use values::{CropArg, PoseArg, RoiArg, SensorArg, folds};
     name = "relief",
     version,
     after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 130 interrupted;\n\
-                  of the daemon also 3 bad configuration, 4 no device, 5 no storage, 70 refused by the system.\n\
+                  of the daemon also 3 bad configuration, 4 no such recording, 5 no storage, 70 refused by the system.\n\
                   Logs go to standard error; RUST_LOG sets their level."
 )]
 pub struct Cli {
@@ -125,7 +125,7 @@ pub struct ReplayArgs {
     /// Folder for the outputs, new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Configuration; keys that it leaves out keep their defaults
+    /// Configuration; keys that it leaves out keep their values from the layers below
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Box of the object in the world frame, metres; found without it
@@ -205,7 +205,7 @@ pub struct RecordedScanArgs {
     /// Output folder of `relief replay`: base.ply (scene.ply where there is one), trajectory.txt and
     /// snapshots are read
     pub output: PathBuf,
-    /// Configuration; keys that it leaves out keep their defaults
+    /// Configuration; keys that it leaves out keep their values from the layers below
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Box of the object in the world frame, metres; found without it
@@ -317,7 +317,7 @@ pub struct DemoArgs {
 pub struct BenchArgs {
     /// Folder of the session, or an .mcap file
     pub session: PathBuf,
-    /// Configuration; keys that it leaves out keep their defaults
+    /// Configuration; keys that it leaves out keep their values from the layers below
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Distance between voxels, metres

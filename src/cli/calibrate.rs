@@ -152,7 +152,7 @@ pub struct OffsetArgs {
 pub struct DepthArgs {
     /// Folder of the session: a matt object on a table, scanned from many sides
     pub session: PathBuf,
-    /// Configuration; keys that it leaves out keep their defaults
+    /// Configuration; keys that it leaves out keep their values from the layers below
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Where the measurement goes

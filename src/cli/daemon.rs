@@ -18,7 +18,7 @@ pub struct RunArgs {
     /// Begin the session anew whenever it ends
     #[arg(long, requires = "replay")]
     pub repeat: bool,
-    /// Configuration; keys that it leaves out keep their defaults. Read anew on SIGHUP
+    /// Configuration; keys that it leaves out keep their values from the layers below. Read anew on SIGHUP
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Data directory, of one daemon at a time; $STATE_DIRECTORY, $XDG_STATE_HOME/relief or ~/.local/state/relief without it

@@ -32,7 +32,7 @@ pub struct RecordArgs {
     /// End after so many seconds; else at SIGINT or SIGTERM
     #[arg(long, value_name = "N", value_parser = seconds)]
     pub seconds: Option<f64>,
-    /// Configuration; keys that it leaves out keep their defaults
+    /// Configuration; keys that it leaves out keep their values from the layers below
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Calibration of the IR image: a device's own file, or a complete one

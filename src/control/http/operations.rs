@@ -91,7 +91,7 @@ pub async fn devices(State(app): State<Arc<App>>) -> Result<Json<Vec<DeviceName>
 /// The configuration
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct ConfigBody {
-    /// Whether there is a file that can be read anew.
+    /// Whether a file was given with `--config`; the files of the layers are read anew with or without one.
     pub has_file: bool,
     /// Why the newest file is not in force.
     pub error: Option<String>,
