@@ -175,11 +175,12 @@ impl DeviceThread {
         let mut awake_since = turn;
         loop {
             self.shared.heartbeat.enter(Activity::Streaming);
-            if turn.elapsed() > AWAY {
-                awake_since = Instant::now();
-            }
-            turn = Instant::now();
             let pumped = context.pump(PUMP_TIMEOUT);
+            let now = Instant::now();
+            if now - turn > AWAY {
+                awake_since = now;
+            }
+            turn = now;
             if let Err(error) = pumped.and_then(|()| self.watch(awake_since)) {
                 return End::Failed(error);
             }
