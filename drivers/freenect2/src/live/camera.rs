@@ -148,6 +148,14 @@ impl Freenect2Camera {
     fn wait_for_return(&mut self, timeout: Duration) -> Result<(), CameraError> {
         let deadline = Instant::now() + timeout;
         let record = loop {
+            // A report that waits already comes first, so that nothing is asked for that has been done.
+            match wait_for_report(&self.reports, Duration::ZERO) {
+                Err(CameraError::Timeout { .. }) => {}
+                report => break report?,
+            }
+            if self.heard() == Some(Action::Added) {
+                self.look_for_device();
+            }
             let remaining = deadline.saturating_duration_since(Instant::now());
             match wait_for_report(&self.reports, remaining.min(LISTEN_INTERVAL)) {
                 Err(CameraError::Timeout { .. }) if remaining > LISTEN_INTERVAL => {}
@@ -155,10 +163,6 @@ impl Freenect2Camera {
                     return Err(CameraError::Timeout { waited: timeout });
                 }
                 report => break report?,
-            }
-            // After the report, so that nothing is asked for that has been done.
-            if self.heard() == Some(Action::Added) {
-                self.look_for_device();
             }
         };
         // Opening resets the device, which is no unplugging.
