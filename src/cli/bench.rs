@@ -22,10 +22,7 @@ use relief::{
 };
 use replay::Pacing;
 use serde::Serialize;
-use std::{
-    path::Path,
-    time::{Duration, Instant},
-};
+use std::{path::Path, time::Instant};
 
 /// What was measured.
 #[derive(Serialize)]
@@ -110,17 +107,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let ir_offset = IrOffset::nearest(calibration.ir_offset_px);
     let infrared = infrared_optics(&config.fusion, &calibration, camera.info());
     let mut run = Run::new(camera.info(), &config, infrared);
-    loop {
-        let frame = match camera.grab(Duration::ZERO) {
-            Ok(Some(frame)) => frame,
-            Ok(None) => break,
-            Err(error) if error.is_recoverable() => {
-                tracing::warn!(%error, "frame skipped");
-                run.frames.damaged += 1;
-                continue;
-            }
-            Err(error) => return Err(error.into()),
-        };
+    while let Some(frame) = run::next_frame(camera.as_mut(), &mut run.frames.damaged)? {
         let frame = ir_offset.remove_from(frame);
         if let Some(depth) = &frame.depth {
             if let Some(ir) = &frame.ir {

@@ -8,7 +8,7 @@ mod print;
 mod targets;
 
 use super::{
-    run::{Verdict, session_name},
+    run::{self, Verdict, session_name},
     values::numbers,
 };
 use anyhow::{Context, ensure};
@@ -22,7 +22,6 @@ use replay::Pacing;
 use std::{
     path::{Path, PathBuf},
     str::FromStr,
-    time::Duration,
 };
 use targets::Aim;
 
@@ -86,12 +85,7 @@ fn measured_session(session: &Path) -> anyhow::Result<MeasuredSession> {
 
 /// The next frame of a recording that is not damaged; `None` at its end.
 fn next_frame(camera: &mut dyn DepthCamera) -> anyhow::Result<Option<Frame>> {
-    loop {
-        match camera.grab(Duration::ZERO) {
-            Err(error) if error.is_recoverable() => tracing::warn!(%error, "frame skipped"),
-            other => return Ok(other?),
-        }
-    }
+    run::next_frame(camera, &mut 0)
 }
 
 /// Where a measurement goes.

@@ -2,7 +2,7 @@
 
 use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, summary};
 use anyhow::{Context, bail};
-use depth_camera::{CameraInfo, DepthCamera, Sensor};
+use depth_camera::{CameraInfo, DepthCamera, Frame, Sensor};
 use relief::{
     config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
     control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
@@ -288,6 +288,22 @@ pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBu
         (Some(given), _) => given.to_owned(),
         (None, Some(folder)) => folder.join("calibration"),
         (None, None) => PathBuf::from("calibration"),
+    }
+}
+
+/// The next frame of a recording that is not damaged; `None` at its end. Those that are damaged are counted.
+pub(super) fn next_frame(
+    camera: &mut dyn DepthCamera,
+    n_damaged: &mut usize,
+) -> anyhow::Result<Option<Frame>> {
+    loop {
+        match camera.grab(Duration::ZERO) {
+            Err(error) if error.is_recoverable() => {
+                tracing::warn!(%error, "frame skipped");
+                *n_damaged += 1;
+            }
+            other => return Ok(other?),
+        }
     }
 }
 
