@@ -76,17 +76,16 @@ impl Control {
         command: Command,
         answered: &Receiver<Result<T, CameraError>>,
     ) -> Result<T, CameraError> {
-        let mut waiting = Some(command);
-        while let Some(command) = waiting.take() {
-            match self.commands.send_timeout(command, CALL_LIMIT) {
-                Ok(()) => {}
-                Err(SendTimeoutError::Timeout(command)) => match self.stuck() {
-                    Some(error) => return Err(error),
-                    None => waiting = Some(command),
-                },
+        let mut command = command;
+        while let Err(error) = self.commands.send_timeout(command, CALL_LIMIT) {
+            let SendTimeoutError::Timeout(waiting) = error else {
                 // What it did last was to close the device, however long ago.
-                Err(SendTimeoutError::Disconnected(_)) => return Err(ended()),
+                return Err(ended());
+            };
+            if let Some(error) = self.stuck() {
+                return Err(error);
             }
+            command = waiting;
         }
         loop {
             match answered.recv_timeout(LOOK_INTERVAL) {
