@@ -36,7 +36,7 @@ pub fn job_id(scan: &Path, settings: &str) -> Result<JobId, JobError> {
         }
         file(&mut hash, name, &path)?;
     }
-    // Without a calibration of its own the scan is refined with the one of its device.
+    // Without these what was fused is the base mesh, and the calibration that of the device.
     for name in [SCENE_PLY, CALIBRATION] {
         let path = scan.join(name);
         if path.is_file() {
