@@ -67,6 +67,17 @@ export async function rises(page, selector, key, above) {
   return handle.jsonValue();
 }
 
+/** Keeps the next such request from going out until the function that it returns is called. */
+export async function holdBack(page, url) {
+  let release;
+  const released = new Promise((resolve) => { release = resolve; });
+  await page.route(url, async (route) => {
+    await released;
+    await route.continue();
+  }, { times: 1 });
+  return release;
+}
+
 /** The pixels of the view of the model, without what lies over it. */
 export async function look(page) {
   await cover(page, 'hidden');
@@ -76,12 +87,21 @@ export async function look(page) {
 }
 
 /** Waits until at least so many pixels of the view have a property: what is told is drawn a moment later. */
-export async function shows(page, has, least, what) {
+export function shows(page, has, least, what) {
+  return reaches(page, (image) => count(image, has), least, `${what}, pixels`);
+}
+
+/** Waits until at least such a share of the view's pixels differs from what they were. */
+export function changes(page, before, least, what) {
+  return reaches(page, (image) => differing(before, image, 0, image.width), least, `${what}, share of the pixels`);
+}
+
+async function reaches(page, figure, least, what) {
   const deadline = Date.now() + 30_000;
   for (;;) {
-    const found = count(await look(page), has);
+    const found = figure(await look(page));
     if (found >= least) return;
-    assert.ok(Date.now() < deadline, `${what}: ${found} of ${least} pixels`);
+    assert.ok(Date.now() < deadline, `${what}: ${found} of ${least}`);
     await page.waitForTimeout(200);
   }
 }

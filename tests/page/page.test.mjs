@@ -3,7 +3,7 @@
 
 import { strict as assert } from 'node:assert';
 import { after, before, test } from 'node:test';
-import { DESKTOP, PHONE, assertClean, count, differing, launch, look, openPage, rises, save, shows, state } from './browser.mjs';
+import { DESKTOP, PHONE, assertClean, changes, count, differing, holdBack, launch, look, openPage, rises, save, shows, state } from './browser.mjs';
 import { standIn } from './stand_in.mjs';
 
 const DAEMON = process.env.RELIEF_PAGE_URL;
@@ -159,6 +159,75 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
     assert.match(await page.getByTestId('export-session').locator('option').first().innerText(), /^Medallion \(/);
     await page.getByTestId('export-show').click();
     await page.locator(`${STAGE}[data-mode=compare]`).waitFor();
+  });
+
+  assertClean(opened);
+});
+
+test('keeps scans apart, and refinements of one', { timeout: 300_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const server = await standIn();
+  t.after(() => server.close());
+  const opened = await openPage(t, browser, server.base);
+  const { page } = opened;
+  const press = (name) => page.getByTestId(name).click();
+  const refinement = (told) => page.locator(`#refinement[data-state=${told}]`).waitFor({ timeout: 60_000 });
+  const compared = (mode, { id }) => page.locator(`${STAGE}[data-mode=${mode}][data-compared="${id}"]`).waitFor({ timeout: 60_000 });
+  const { sessions } = server.daemon;
+
+  await t.test('shows the shading images of each', async () => {
+    for (const name of ['first', 'second']) {
+      await page.getByTestId('label').fill(name);
+      await press('start');
+      await state(page, ...SCANNING);
+      await page.locator(`#snapshot-list img[src$="/0.png?scan=${server.daemon.scan.id}"]`).waitFor();
+      await press('stop');
+      await state(page, 'idle');
+    }
+  });
+
+  await t.test('offers the first while the second is refined', async () => {
+    await page.locator('#mode-compare:enabled').waitFor();
+    assert.equal(await page.locator('#refinement').getAttribute('data-state'), 'running');
+    await refinement('done');
+  });
+
+  await t.test('keeps to the scan that was chosen until the view is live again', async () => {
+    const [first, second] = sessions;
+    const release = await holdBack(page, /mesh\?which=difference$/);
+    await press('export');
+    await page.getByTestId('export-session').selectOption(first.id);
+    await press('export-show');
+    // The newest scan is offered anew, while the meshes of the chosen one come and after that.
+    await Promise.all([page.waitForResponse(/\/sessions$/), press('refine')]);
+    await refinement('running');
+    release();
+    await compared('compare', first);
+    await refinement('done');
+    await page.locator('#mode-difference').click();
+    await compared('difference', first);
+    await page.locator('#mode-live').click();
+    await page.locator('#mode-difference').click();
+    await compared('difference', second);
+  });
+
+  await t.test('shows what was refined last', async () => {
+    await page.waitForTimeout(1500);
+    const before = await look(page);
+    await press('refine');
+    await refinement('running');
+    await refinement('done');
+    await Promise.all([page.waitForResponse(/meshes\/difference-3$/), page.locator('#mode-difference').click()]);
+    await changes(page, before, 0.01, 'there is more of a difference');
+  });
+
+  await t.test('stays live if that was asked for while meshes came', async () => {
+    const release = await holdBack(page, /mesh\?which=difference$/);
+    await page.locator('#mode-live').click();
+    await page.locator('#mode-compare').click();
+    await page.locator('#mode-live').click();
+    await Promise.all([page.waitForResponse(/meshes\/difference-3$/), release()]);
+    await page.waitForTimeout(1000);
+    assert.equal(await page.locator(STAGE).getAttribute('data-mode'), 'live');
   });
 
   assertClean(opened);

@@ -35,7 +35,11 @@ export class Refused extends Error {
 export class StandInDaemon {
   sessions = [];
   #scan = null;
+  /** How often each scan was refined, by its id; every time its mesh shows more. */
+  refinements = new Map();
   #refinement = { state: 'none', started: 0, session: null };
+  /** Scans that are refined next. */
+  #waiting = [];
   #sensor;
   #started = Date.now();
 
@@ -70,11 +74,12 @@ export class StandInDaemon {
   }
 
   refine(session) {
-    this.#refinement = { state: 'running', started: Date.now(), session };
+    if (this.#refinement.state === 'running') this.#waiting.push(session);
+    else this.#refinement = { state: 'running', started: Date.now(), session };
   }
 
   cancel() {
-    this.#refinement.state = 'cancelled';
+    this.#endRefinement('cancelled');
   }
 
   /** Lets `secs` pass. */
@@ -93,9 +98,15 @@ export class StandInDaemon {
     }
     const { state, started, session } = this.#refinement;
     if (state === 'running' && Date.now() - started > 1000 * REFINE_SECS) {
-      this.#refinement.state = 'done';
-      session.files.push(...REFINED_FILES);
+      this.refinements.set(session.id, 1 + (this.refinements.get(session.id) ?? 0));
+      session.files = [...SCANNED_FILES, ...REFINED_FILES];
+      this.#endRefinement('done');
     }
+  }
+
+  #endRefinement(state) {
+    this.#refinement.state = state;
+    if (this.#waiting.length > 0) this.refine(this.#waiting.shift());
   }
 
   #finish() {

@@ -3,15 +3,15 @@
 const HALF_SIDE_M = 0.2;
 const DISTANCE_M = 0.8;
 
-/** Height of the relief above the plaque, metres; `detail` adds what only shading shows. */
+/** Height of the relief above the plaque, metres; `detail` is the share of what only shading shows. */
 function height(x, y, detail) {
   const r = Math.hypot(x, y);
   const dome = r < 0.15 ? 0.035 * Math.cos((Math.PI * r) / 0.3) ** 0.7 : 0;
   const rim = 0.008 * Math.exp(-(((r - 0.165) / 0.006) ** 2));
-  if (!detail) return dome + rim;
+  if (detail === 0) return dome + rim;
   const rings = 0.0007 * Math.cos(2 * Math.PI * r * 95) * Math.exp(-(((r - 0.1) / 0.035) ** 2));
   const petals = 0.0009 * Math.cos(12 * Math.atan2(y, x)) * Math.exp(-(((r - 0.05) / 0.02) ** 2));
-  return dome + rim + rings + petals;
+  return dome + rim + detail * (rings + petals);
 }
 
 /** When the scan reaches a place, share of the whole. */
@@ -23,7 +23,7 @@ function arrival(x, y) {
  * The mesh as the API sends it. `progress` of the scan (0 to 1) cuts away what has not been seen and sets the coverage;
  * with `difference` the byte says how far the detail lies from the surface without it.
  */
-export function meshBytes({ side, progress, detail = false, difference = false, revision = 1 }) {
+export function meshBytes({ side, progress, detail = 0, difference = false, revision = 1 }) {
   const index = new Int32Array(side * side).fill(-1);
   const points = [];
   const at = (i) => (2 * i / (side - 1) - 1) * HALF_SIDE_M;
@@ -61,7 +61,7 @@ function packed(points, faces, { detail, difference, revision }) {
     const normal = [-slope(step, 0), -slope(0, step), -1];
     const length = Math.hypot(...normal);
     normal.forEach((value, axis) => bytes.writeInt8(Math.round((127 * value) / length), 16 + 12 * n + 4 * vertex + axis));
-    const mm = 1000 * (height(x, y, true) - height(x, y, false));
+    const mm = 1000 * (height(x, y, detail) - height(x, y, 0));
     const amount = difference ? 128 + Math.max(-127, Math.min(127, Math.round((mm / 2) * 127))) : Math.min(255, Math.round(420 * seen));
     bytes[16 + 16 * n + vertex] = amount;
   });
@@ -101,7 +101,7 @@ export function previewMessage(kind, frameId, progress) {
       const x = ((u - width / 2) / 183) * DISTANCE_M + 0.3 * pose[3];
       const y = ((v - height_ / 2) / 183) * DISTANCE_M + 0.3 * pose[7];
       const isOutside = Math.max(Math.abs(x), Math.abs(y)) > HALF_SIDE_M;
-      const depth = isOutside ? 0.93 : DISTANCE_M - height(x, y, false) + 0.25 * x * pose[3];
+      const depth = isOutside ? 0.93 : DISTANCE_M - height(x, y, 0) + 0.25 * x * pose[3];
       bytes[24 + v * width + u] = kind === 1 ? depthByte(depth, low, high, x, y) : infraredByte(x, y, isOutside, pose);
     }
   }
@@ -115,7 +115,7 @@ function depthByte(depth, low, high, x, y) {
 
 function infraredByte(x, y, isOutside, pose) {
   const step = 1e-3;
-  const slope = (height(x + step, y, true) - height(x - step, y, true)) / (2 * step);
+  const slope = (height(x + step, y, 1) - height(x - step, y, 1)) / (2 * step);
   const lobe = Math.exp(-(x * x + y * y) / 0.11);
   const glint = Math.hypot(x - 0.12 * pose[3], y + 0.02) < 0.022;
   if (glint && !isOutside) return 255;

@@ -19,6 +19,7 @@ const HEADERS = {
 const SIDES = { preview: 170, full: 450 };
 const COMMAND = /^\/api\/v1\/scan\/(pause|resume|snapshot|undo|refine|reset|finish|abandon)$/;
 const SESSION_MESH = /^\/api\/v1\/sessions\/([^/]+)\/mesh$/;
+const MESH = /^\/api\/v1\/meshes\/(base|refined|difference)-(\d+)$/;
 const SESSION_FILE = /^\/api\/v1\/sessions\/([^/]+)\/files\/([a-z.]+)$/;
 const SESSION_REFINE = /^\/api\/v1\/sessions\/([^/]+)\/refine$/;
 
@@ -86,9 +87,18 @@ async function answer(daemon, assets, request, response) {
     const { revision } = made;
     return mesh(request, response, { side: SIDES[searchParams.get('lod')], progress: daemon.progress, revision });
   }
-  if (SESSION_MESH.test(pathname) && finished(pathname.match(SESSION_MESH)[1])) {
+  const nRefined = daemon.refinements.get(pathname.match(SESSION_MESH)?.[1]);
+  if (nRefined) {
     const which = searchParams.get('which');
-    return mesh(request, response, { side: SIDES.full, progress: 2, detail: which !== 'base', difference: which === 'difference' });
+    response.setHeader('Location', `/api/v1/meshes/${which}-${which === 'base' ? 0 : nRefined}`);
+    response.setHeader('Cache-Control', 'no-cache');
+    return send(response, 302, 'text/plain', '');
+  }
+  if (MESH.test(pathname)) {
+    const [, which, detail] = pathname.match(MESH);
+    response.setHeader('Cache-Control', 'private, max-age=31536000, immutable');
+    if (request.method === 'HEAD') return send(response, 200, 'application/octet-stream', '');
+    return mesh(request, response, { side: SIDES.full, progress: 2, detail: Number(detail), difference: which === 'difference' });
   }
   if (SESSION_FILE.test(pathname)) {
     const [, id, name] = pathname.match(SESSION_FILE);

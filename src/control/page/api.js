@@ -45,9 +45,16 @@ export const undo = (secs) => ask('POST', '/scan/undo', { secs });
 export const refineSession = (id) => ask('POST', `/sessions/${encodeURIComponent(id)}/refine`);
 export const cancelJob = (job) => ask('POST', `/jobs/${encodeURIComponent(job)}/cancel`);
 
-export const snapshotImage = (index) => `${ROOT}/scan/snapshots/${index}.png`;
+/** The daemon numbers the images of every scan alike; the scan in the address keeps a browser from showing another's. */
+export const snapshotImage = (scanId, index) => `${ROOT}/scan/snapshots/${index}.png?scan=${encodeURIComponent(scanId)}`;
 export const sessionFile = (id, name) => `${ROOT}/sessions/${encodeURIComponent(id)}/files/${name}`;
 export const sessionMesh = (id, which) => `${ROOT}/sessions/${encodeURIComponent(id)}/mesh?which=${which}`;
+
+/** Where an address leads: that of a finished scan's mesh leads elsewhere once the content is another. Tells nothing of refusals. */
+export async function destination(address) {
+  const { url } = await fetch(address, { method: 'HEAD' });
+  return url;
+}
 
 /** A mesh of a finished scan, as bytes. */
 export async function meshBytes(address) {

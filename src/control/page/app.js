@@ -121,7 +121,9 @@ async function followPath() {
 
 /** Asks for the finished scans when one may have been added or refined. */
 async function followSessions(scanId) {
-  const key = `${scanId}/${status.phase}/${status.refinement.state}`;
+  const { state, job } = status.refinement;
+  // The next job may run already when the end of one is told: the state is the same, and the job is not.
+  const key = `${scanId}/${status.phase}/${job}/${state}`;
   if (key === sessionsKey) return;
   sessionsKey = key;
   try {

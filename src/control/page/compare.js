@@ -9,14 +9,15 @@ import { differenceLimitMm, extentOf, geometryOf, withFaces } from './surface.js
 const KEY_STEP = 20;
 /** The fused mesh is of all that was seen, the refined one of the object: this far around it both are shown. */
 const OBJECT_MARGIN_M = 0.006;
+/** The meshes that are compared, as the API names them: the difference is the refined one, coloured. */
+const COMPARED = ['base', 'difference'];
 
 export class Compare {
   #view;
-  #stage = document.querySelector('[data-testid=stage]');
   #divider = document.getElementById('divider');
   #slider = document.getElementById('wipe');
-  #sessionId = null;
-  #loaded = null;
+  /** Where the meshes that are held lie; one with other content has another address. */
+  #addresses = [];
   #limitMm = 1;
   /** Of each surface the fine and the coarse geometry. */
   #geometries = {};
@@ -28,32 +29,34 @@ export class Compare {
     this.#wipe();
   }
 
-  /** The scan to compare, or `null` while there is none. */
-  offer(sessionId) {
-    if (sessionId === this.#sessionId) return;
-    this.#sessionId = sessionId;
-    this.#loaded = null;
-  }
-
-  get isOffered() {
-    return this.#sessionId !== null;
-  }
-
   /** What the colours stand for: `{stops, ticks}`. */
   get legend() {
     const limit = this.#limitMm;
     return { stops: DIVERGING, ticks: [`−${limit} mm`, 'unmoved', `+${limit} mm`] };
   }
 
-  /** Loads both meshes, once for each scan. */
-  async load() {
-    this.#loaded ??= this.#fetch(this.#sessionId);
-    try {
-      await this.#loaded;
-    } catch (error) {
-      this.#loaded = null;
-      throw error;
-    }
+  /** Both meshes of a refined scan for `take`, or `null` if they are those that are held: a scan can be refined anew. */
+  async fetch(sessionId) {
+    const addresses = await Promise.all(COMPARED.map((which) => api.destination(api.sessionMesh(sessionId, which))));
+    if (addresses.every((address, i) => address === this.#addresses[i])) return null;
+    const [base, difference] = await Promise.all(addresses.map(api.meshBytes));
+    return { addresses, base, difference };
+  }
+
+  /** Shows fetched meshes instead of those that are held. */
+  take({ addresses, base, difference }) {
+    const refined = decodeMesh(difference);
+    if (refined.faces.length === 0) throw new Error('the refined mesh is empty');
+    const extent = extentOf(refined);
+    const fused = decodeMesh(base);
+    fused.faces = facesNear(fused, refined, OBJECT_MARGIN_M);
+    for (const { fine, coarse } of Object.values(this.#geometries)) [fine, coarse].forEach((geometry) => geometry.dispose());
+    this.#geometries = { base: twofold(fused, extent), refined: twofold(refined, extent) };
+    this.#addresses = addresses;
+    this.moving = false;
+    this.#limitMm = differenceLimitMm(refined);
+    this.#view.surfaces.refined.limitMm = this.#limitMm;
+    this.#view.place('refined', extent);
   }
 
   showDivider(isShown) {
@@ -65,23 +68,6 @@ export class Compare {
       this.#view.surfaces[name].show(isMoving ? coarse : fine);
     }
     this.#view.request();
-  }
-
-  async #fetch(id) {
-    const [base, difference] = await Promise.all(['base', 'difference'].map((which) => api.meshBytes(api.sessionMesh(id, which))));
-    if (id !== this.#sessionId) return;
-    const refined = decodeMesh(difference);
-    if (refined.faces.length === 0) throw new Error('the refined mesh is empty');
-    const extent = extentOf(refined);
-    for (const { fine, coarse } of Object.values(this.#geometries)) [fine, coarse].forEach((geometry) => geometry.dispose());
-    const fused = decodeMesh(base);
-    fused.faces = facesNear(fused, refined, OBJECT_MARGIN_M);
-    this.#geometries = { base: twofold(fused, extent), refined: twofold(refined, extent) };
-    this.moving = false;
-    this.#limitMm = differenceLimitMm(refined);
-    this.#view.surfaces.refined.limitMm = this.#limitMm;
-    this.#view.place('refined', extent);
-    this.#stage.dataset.compared = id;
   }
 
   #press(event) {

@@ -40,21 +40,21 @@ export class Snapshots {
     const known = new Map([...this.#list.children].map((item) => [item.dataset.key, item]));
     const items = snapshots.slice(-SHOWN).map((snapshot) => {
       const key = `${scanId}/${snapshot.index}/${snapshot.accepted}`;
-      return known.get(key) ?? tile(key, snapshot);
+      return known.get(key) ?? tile(key, scanId, snapshot);
     });
     this.#list.replaceChildren(...items);
     if (wasAtEnd) this.#list.scrollLeft = this.#list.scrollWidth;
   }
 }
 
-function tile(key, { index, frame_id: frameId, accepted, code, reason, advice, has_image: hasImage }) {
+function tile(key, scanId, { index, frame_id: frameId, accepted, code, reason, advice, has_image: hasImage }) {
   const item = document.createElement('li');
   item.dataset.key = key;
   item.dataset.accepted = accepted;
   const why = accepted ? 'accepted' : spelled(code ?? reason ?? 'rejected');
   if (hasImage) {
     const image = document.createElement('img');
-    image.src = api.snapshotImage(index);
+    image.src = api.snapshotImage(scanId, index);
     image.loading = 'lazy';
     // A picture that is not there yet is asked for again when the list is made anew.
     image.addEventListener('error', () => {

@@ -8,6 +8,7 @@ import { turnLight } from './surface.js';
 
 /** States in which the camera is not where it was last. */
 const LOST = ['lost', 'relocalising'];
+const LIVE = { mode: 'live', sessionId: null };
 const COVERAGE_LEGEND = { stops: COVERAGE, ticks: ['needs views', 'enough'] };
 
 export class Stage {
@@ -18,6 +19,10 @@ export class Stage {
   #why = '';
   #isLost = false;
   #hasScan = false;
+  #offeredId = null;
+  /** What is in the view, and what was asked for last: another while its meshes come. */
+  #shown = LIVE;
+  #wanted = LIVE;
   #view;
   #live;
   #compare;
@@ -68,19 +73,18 @@ export class Stage {
     this.#live.clear();
     document.getElementById('coverage-share').textContent = '';
     this.#forgetCamera();
-    if (this.#view.mode !== 'live') this.#switch('live');
+    if (this.#wanted !== LIVE) this.#switch('live');
   }
 
-  /** The finished scan to compare, or `null`. */
+  /** The finished scan to compare unless another is chosen, or `null`. */
   offer(session) {
-    this.#compare.offer(session?.id ?? null);
+    this.#offeredId = session?.id ?? null;
     for (const button of this.#modes) button.disabled = button.dataset.mode !== 'live' && !session;
   }
 
-  /** Shows a finished scan's meshes. */
+  /** Shows the meshes of a scan that the operator chose. */
   compare(session) {
-    this.offer(session);
-    return this.#switch('compare');
+    return this.#switch('compare', session.id);
   }
 
   showPose(pose) {
@@ -120,13 +124,30 @@ export class Stage {
     this.#hint.hidden = text === '';
   }
 
-  async #switch(mode) {
+  /** Modes share a scan until the view is live again, whatever else is offered meanwhile. */
+  async #switch(mode, sessionId = this.#wanted.sessionId ?? this.#offeredId) {
+    const wanted = mode === 'live' ? LIVE : { mode, sessionId };
+    this.#wanted = wanted;
+    if (wanted === LIVE || await this.#load(wanted)) this.#show(wanted);
+  }
+
+  /** Whether the meshes that are wanted came, and nothing else was asked for since. */
+  async #load(wanted) {
     try {
-      if (mode !== 'live') await this.#compare.load();
+      const meshes = await this.#compare.fetch(wanted.sessionId);
+      if (meshes && wanted === this.#wanted) this.#compare.take(meshes);
     } catch (error) {
+      if (wanted !== this.#wanted) return false;
+      this.#wanted = this.#shown;
       this.#report(error);
-      return;
     }
+    return wanted === this.#wanted;
+  }
+
+  #show(wanted) {
+    const { mode, sessionId } = wanted;
+    this.#shown = wanted;
+    if (sessionId) this.#section.dataset.compared = sessionId;
     this.#section.dataset.mode = mode;
     for (const button of this.#modes) button.setAttribute('aria-pressed', button.dataset.mode === mode);
     this.#compare.showDivider(mode === 'compare');
