@@ -4,10 +4,12 @@
 
 use super::{WorkerParams, params::Turns};
 use rustix::process::{self, Pid, Resource, Rlimit, Signal};
-use std::io;
+use std::{fs, io};
 
 /// At the lower limit of processor time the system sends SIGXCPU, which says what was used up; so much later, at the upper, SIGKILL.
 const CPU_GRACE_SECS: u64 = 5;
+/// The most that a process can be worse than others when the system chooses which to kill, proc(5).
+const OOM_FIRST: &str = "1000";
 
 /// Priority and limits of a process. `None` leaves what it has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,7 +22,7 @@ pub struct Limits {
     pub max_memory_mb: Option<u64>,
     /// Processor time, seconds.
     pub max_cpu_secs: Option<u64>,
-    /// The process must not outlive this one, its parent.
+    /// The process must not outlive this one, its parent, and is to be killed before it where memory runs out.
     pub parent: Option<u32>,
 }
 
@@ -61,14 +63,8 @@ impl Limits {
     /// If the system refuses, or the parent is gone.
     pub fn impose(&self) -> io::Result<()> {
         if let Some(parent) = self.parent {
-            process::set_parent_process_death_signal(Some(Signal::KILL))?;
-            // It may have ended before the line above.
-            let present = process::getppid().map(Pid::as_raw_pid);
-            if present.and_then(|pid| u32::try_from(pid).ok()) != Some(parent) {
-                return Err(io::Error::other(
-                    "the process that started this one is gone",
-                ));
-            }
+            die_with(parent)?;
+            die_first();
         }
         // Where the system knows no such class its niceness is left.
         if self.idle
@@ -87,6 +83,26 @@ impl Limits {
             limit(Resource::Cpu, secs, secs.saturating_add(CPU_GRACE_SECS))?;
         }
         Ok(())
+    }
+}
+
+fn die_with(parent: u32) -> io::Result<()> {
+    process::set_parent_process_death_signal(Some(Signal::KILL))?;
+    // It may have ended before the line above.
+    let present = process::getppid().map(Pid::as_raw_pid);
+    match present.and_then(|pid| u32::try_from(pid).ok()) == Some(parent) {
+        true => Ok(()),
+        false => Err(io::Error::other(
+            "the process that started this one is gone",
+        )),
+    }
+}
+
+/// Where memory runs out the system is to take this process, which can be repeated, and not the scan. A system that knows no such
+/// wish chooses by itself.
+fn die_first() {
+    if let Err(error) = fs::write("/proc/self/oom_score_adj", OOM_FIRST) {
+        tracing::warn!(%error, "not the first to be killed where memory runs out");
     }
 }
 

@@ -159,6 +159,20 @@ fn the_unit_is_hardened() {
 }
 
 #[test]
+fn the_unit_lets_the_daemon_outlive_its_refinement_and_gives_it_threads_for_many_processors() {
+    let unit = fs::read_to_string(file("relief.service")).unwrap();
+    let setting = |key: &str| {
+        let mut values = unit.lines().filter_map(|line| line.strip_prefix(key));
+        values.next().unwrap()
+    };
+    assert_eq!(setting("OOMPolicy="), "continue");
+    // Tracking, loops, refinement and a pool beside them, in the daemon and in its child.
+    let (n_pools, n_processors) = (2 * 4, 256);
+    let max_tasks: usize = setting("TasksMax=").parse().unwrap();
+    assert!(max_tasks > n_pools * n_processors);
+}
+
+#[test]
 fn the_units_are_well_formed() {
     let folder = tempfile::tempdir().unwrap();
     let mut units = Vec::new();
