@@ -23,6 +23,7 @@ use std::{
     net::{SocketAddr, TcpListener as StdTcpListener},
     path::{Path, PathBuf},
     sync::Arc,
+    thread,
     time::{Duration, Instant},
 };
 use tokio::{
@@ -92,7 +93,7 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         Some(root) => DataFolder::open(&root)?,
         None => DataFolder::open(&DataFolder::conventional()?)?,
     };
-    mend_recordings(&data.sessions());
+    let abandoned = abandoned_recordings(&data.sessions());
     // A camera that makes no sense is told of now, not at the first scan.
     setup.source.check()?;
     let listener = listen(setup.listen, &protection)?;
@@ -115,35 +116,62 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         .enable_all()
         .max_blocking_threads(WAITING_THREADS)
         .build()?;
-    let ended = runtime.block_on(Daemon::new(supervisor.clone()).live(listener, access));
+    let daemon = Daemon::new(supervisor.clone());
+    let ended = runtime.block_on(daemon.live(listener, access, abandoned));
     // Threads that wait for a slow disk are not waited for.
     runtime.shutdown_background();
     supervisor.worker.stop();
     ended
 }
 
-/// Mends what a daemon that was killed left open; a recording that cannot be mended costs nothing but itself.
-fn mend_recordings(sessions: &Path) {
-    let repaired = match mcap_session::repair_abandoned(sessions) {
-        Ok(repaired) => repaired,
+/// The recordings that a daemon which was killed left open. None is being written yet, so that those of new scans are not among
+/// them.
+fn abandoned_recordings(sessions: &Path) -> Vec<PathBuf> {
+    let is_abandoned = |path: &PathBuf| mcap_session::is_abandoned(path).unwrap_or(true);
+    match mcap_session::recordings_in(sessions) {
+        Ok(recordings) => recordings.into_iter().filter(is_abandoned).collect(),
         Err(error) => {
             tracing::warn!(%error, "recordings were not looked at");
-            return;
+            Vec::new()
         }
-    };
-    for (path, result) in repaired {
-        let path = path.display();
-        match result {
-            Ok(Some(note)) => tracing::warn!(
-                %path,
-                frames_recovered = note.frames_recovered,
-                frames_lost = note.frames_lost,
-                "a recording was left open and is repaired"
-            ),
-            Ok(None) => {}
-            Err(error) => {
-                tracing::error!(%path, %error, "a recording was left open and cannot be repaired")
-            }
+    }
+}
+
+/// Mends recordings beside all else, on a thread that nobody waits for: a large one takes minutes, and a repair that is cut off is
+/// simply done again.
+fn mend_aside(recordings: Vec<PathBuf>) {
+    if recordings.is_empty() {
+        return;
+    }
+    let mending = thread::Builder::new().name("mending".to_owned());
+    let mending = mending.spawn(move || {
+        // A scan has more to do with processor and disk.
+        if let Err(error) = idle_class::enter() {
+            tracing::debug!(%error, "recordings are not mended in the idle class");
+        }
+        for recording in &recordings {
+            mend(recording);
+        }
+    });
+    if let Err(error) = mending {
+        tracing::warn!(%error, "recordings were not looked at");
+    }
+}
+
+/// Mends one recording; one that cannot be mended costs nothing but itself.
+fn mend(recording: &Path) {
+    let path = recording.display();
+    tracing::info!(%path, "a recording was left open and is being repaired");
+    match mcap_session::repair(recording) {
+        Ok(Some(note)) => tracing::warn!(
+            %path,
+            frames_recovered = note.frames_recovered,
+            frames_lost = note.frames_lost,
+            "a recording was left open and is repaired"
+        ),
+        Ok(None) => tracing::info!(%path, "the recording is whole"),
+        Err(error) => {
+            tracing::error!(%path, %error, "a recording was left open and cannot be repaired")
         }
     }
 }
@@ -167,7 +195,13 @@ impl Daemon {
         }
     }
 
-    async fn live(mut self, listener: StdTcpListener, access: Access) -> Result<(), DaemonError> {
+    /// Answers until a signal comes, then drains. Recordings that were left open are mended meanwhile.
+    async fn live(
+        mut self,
+        listener: StdTcpListener,
+        access: Access,
+        abandoned: Vec<PathBuf>,
+    ) -> Result<(), DaemonError> {
         let mut signals = DaemonSignals::new()?;
         let address = listener.local_addr()?;
         let scheme = access.scheme();
@@ -180,6 +214,7 @@ impl Daemon {
             "listening on {scheme}://{address}/"
         );
         self.manager.ready("idle");
+        mend_aside(abandoned);
 
         let mut looks = time::interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Skip);

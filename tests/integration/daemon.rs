@@ -3,10 +3,15 @@
 use crate::{
     daemon_process::{Daemon, refused},
     http_client::{Answer, Client, Message},
-    support::{Workbench, poll},
+    support::{PROGRAM, Workbench, assert_says, poll, prolong},
 };
 use serde_json::{Value, json};
-use std::{fs, io::Read, path::PathBuf};
+use std::{
+    fs::{self, File},
+    io::Read,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 fn assert_mesh(answer: &Answer) {
     assert_eq!(answer.status, 200);
@@ -431,4 +436,52 @@ fn a_daemon_that_cannot_start_says_why() {
     let (code, said) = refused(&bench, &[]);
     assert_eq!(code, Some(4), "{said}");
     assert!(said.contains("session.toml"), "{said}");
+}
+
+/// A recording in the data directory, as a daemon that was killed leaves it.
+fn left_open(bench: &Workbench, scan: &str) -> PathBuf {
+    let recording = bench.path("data/sessions").join(scan).join("recording");
+    let imported = Command::new(PROGRAM)
+        .args(["session", "import"])
+        .arg(bench.session())
+        .arg("--out")
+        .arg(&recording)
+        .output()
+        .unwrap();
+    assert_says(&imported, 0, &[]);
+    let record = recording.join("session.json");
+    let text = fs::read_to_string(&record).unwrap();
+    fs::write(record, text.replace("\"closed\"", "\"open\"")).unwrap();
+    recording
+}
+
+fn recording_state(recording: &Path) -> Value {
+    let record = fs::read(recording.join("session.json")).unwrap();
+    let record: Value = serde_json::from_slice(&record).unwrap();
+    record["state"].clone()
+}
+
+#[test]
+fn recordings_that_were_left_open_are_mended_while_the_daemon_answers() {
+    let bench = Workbench::with_frames(1);
+    let [small, large] = ["a", "b"].map(|scan| left_open(&bench, scan));
+    prolong(&bench.session());
+    // Torn in its first record, with a terabyte of nothing behind: that takes no room, and longer to read than anybody waits.
+    let segment = File::options()
+        .write(true)
+        .open(large.join("segment-0000.mcap"))
+        .unwrap();
+    for n_bytes in [12, 1 << 40] {
+        segment.set_len(n_bytes).unwrap();
+    }
+    let daemon = Daemon::start_in(bench, &[]);
+    poll("the repair", || {
+        (recording_state(&small) == "repaired").then_some(())
+    });
+    assert_eq!(daemon.client.status()["state"], "idle");
+    daemon.signal("-TERM");
+    let (_bench, status) = daemon.wait();
+    assert_eq!(status.code(), Some(0));
+    // It is done again by the next daemon.
+    assert_eq!(recording_state(&large), "open");
 }
