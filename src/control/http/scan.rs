@@ -13,7 +13,7 @@ use crate::{
     devices::OpenError,
     export::encode_png_grey8,
     geometry::Pose,
-    pipeline::{Command, CommandRefused, LiveSnapshot},
+    pipeline::{Command, CommandRefused, LiveSnapshot, SpawnError},
 };
 use axum::{
     Json,
@@ -86,7 +86,9 @@ impl From<StartError> for Problem {
             StartError::Draining => Problem::conflict("draining", error),
             StartError::Camera(error) => unavailable(code_of(error)),
             StartError::Config(_) => Problem::conflict("bad_config", error),
-            StartError::Folder(_) | StartError::Record(_) => unavailable("storage_failed"),
+            StartError::Folder(_)
+            | StartError::Record(_)
+            | StartError::Spawn(SpawnError::Recorder(_)) => unavailable("storage_failed"),
             StartError::Spawn(_) | StartError::Program(_) => Problem::internal(error),
         }
     }
@@ -304,4 +306,23 @@ pub async fn snapshot_image(
         encode_png_grey8(&image).map_err(Problem::internal)
     });
     Ok(([(header::CONTENT_TYPE, "image/png")], png.await?).into_response())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mcap_session::RecordingError;
+
+    #[test]
+    fn a_recording_that_finds_too_little_room_is_a_failure_of_the_storage() {
+        let error = RecordingError::DiskFloor {
+            folder: "sessions".into(),
+            free_bytes: 1,
+            floor_bytes: 2,
+        };
+        let error = StartError::Spawn(error.into());
+        let unavailable = StatusCode::SERVICE_UNAVAILABLE;
+        let expected = Problem::new(unavailable, "storage_failed", &error);
+        assert_eq!(Problem::from(error), expected);
+    }
 }
