@@ -6,9 +6,13 @@ use super::{
     status_body::{RefinementBody, StatusBody},
     supervisor::{Scan, Supervisor},
 };
-use crate::pipeline::{DeviceHealth, EventKind};
+use crate::{
+    jobs::{Job, JobId, JobState},
+    pipeline::{DeviceHealth, EventKind},
+};
 use serde_json::json;
 use std::{
+    collections::BTreeMap,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -21,9 +25,27 @@ const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 #[derive(Debug, Default)]
 pub struct Observer {
     state: Option<(&'static str, Option<&'static str>)>,
+    jobs: SeenJobs,
     refinement: RefinementBody,
     scan: Option<ObservedScan>,
     status_told: Option<Instant>,
+}
+
+/// How the refinements stood at the last look; `None` before the first.
+#[derive(Debug, Default)]
+struct SeenJobs(Option<BTreeMap<JobId, JobState>>);
+
+impl SeenJobs {
+    /// Which of all jobs, the newest first, have ended since the last look, the oldest first. What ended before the first is no
+    /// news.
+    fn ended_since(&mut self, jobs: Vec<Job>) -> Vec<Job> {
+        let states = jobs.iter().map(|job| (job.id.clone(), job.state));
+        let Some(seen) = self.0.replace(states.collect()) else {
+            return Vec::new();
+        };
+        let has_ended = |job: &Job| job.state.is_ended() && seen.get(&job.id) != Some(&job.state);
+        jobs.into_iter().rev().filter(has_ended).collect()
+    }
 }
 
 /// What was told of the scan that goes on.
@@ -58,6 +80,7 @@ impl Observer {
     /// Looks once; returns the status in one line where that has changed.
     pub fn look(&mut self, supervisor: &Arc<Supervisor>, n_clients: usize) -> Option<String> {
         self.follow_scan(supervisor);
+        let ended = self.jobs.ended_since(supervisor.worker.list());
         let status = StatusBody::of(supervisor, n_clients);
         let line = self.state_changed(&status).then(|| sentence(&status));
         if line.is_some() {
@@ -66,22 +89,7 @@ impl Observer {
             });
             supervisor.events.tell(Topic::State, &told);
         }
-        if status.refinement != self.refinement {
-            supervisor
-                .events
-                .tell(Topic::Refinement, &status.refinement);
-            if let RefinementBody {
-                state: "done",
-                job: Some(job),
-                scan: Some(scan),
-                rmse: None,
-                ..
-            } = &status.refinement
-            {
-                refined_error::read_aside(supervisor, job.clone(), scan);
-            }
-            self.refinement = status.refinement.clone();
-        }
+        self.follow_refinements(supervisor, ended, &status.refinement);
         let is_due = |told: Instant| told.elapsed() >= STATUS_INTERVAL;
         if supervisor.events.is_followed() && self.status_told.is_none_or(is_due) {
             self.status_told = Some(Instant::now());
@@ -93,6 +101,37 @@ impl Observer {
     fn state_changed(&mut self, status: &StatusBody) -> bool {
         let state = Some((status.state, status.reason));
         std::mem::replace(&mut self.state, state) != state
+    }
+
+    /// Tells of the refinements that ended, and of the one that is shown if that has changed.
+    fn follow_refinements(
+        &mut self,
+        supervisor: &Arc<Supervisor>,
+        ended: Vec<Job>,
+        shown: &RefinementBody,
+    ) {
+        for ended in ended.into_iter().map(RefinementBody::from) {
+            let is_it = |told: &RefinementBody| told.job == ended.job && told.state == ended.state;
+            // Where the next one has begun at once, this one is not shown any more.
+            if !is_it(&self.refinement) && !is_it(shown) {
+                supervisor.events.tell(Topic::Refinement, &ended);
+            }
+        }
+        if *shown == self.refinement {
+            return;
+        }
+        supervisor.events.tell(Topic::Refinement, shown);
+        if let RefinementBody {
+            state: "done",
+            job: Some(job),
+            scan: Some(scan),
+            rmse: None,
+            ..
+        } = shown
+        {
+            refined_error::read_aside(supervisor, job.clone(), scan);
+        }
+        self.refinement = shown.clone();
     }
 
     fn follow_scan(&mut self, supervisor: &Arc<Supervisor>) {
@@ -173,5 +212,42 @@ fn sentence(status: &StatusBody) -> String {
     match status.reason {
         Some(reason) => format!("{} ({reason})", status.state),
         None => status.state.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(digit: u32, state: JobState) -> Job {
+        Job {
+            id: format!("{digit:064x}").parse().unwrap(),
+            scan: "a".to_owned(),
+            submitted_unix_ms: 1,
+            state,
+            failures: Vec::new(),
+            message: None,
+            progress: None,
+        }
+    }
+
+    #[test]
+    fn a_refinement_that_ends_is_noticed_though_the_next_one_begins_at_once() {
+        use JobState::{Cancelled, Done, Running, Waiting};
+        let mut seen = SeenJobs::default();
+        let mut look = |states: &[JobState]| {
+            let jobs = states.iter().enumerate();
+            let jobs = jobs.map(|(digit, state)| job(digit as u32, *state));
+            let ended = seen.ended_since(jobs.rev().collect());
+            ended.iter().map(|job| job.state).collect::<Vec<_>>()
+        };
+        // What had ended before the daemon started is no news.
+        assert!(look(&[Done, Running, Waiting]).is_empty());
+        assert_eq!(look(&[Done, Done, Running]), [Done]);
+        assert!(look(&[Done, Done, Running]).is_empty());
+        // Also of one that is gone before it was seen.
+        assert_eq!(look(&[Done, Done, Done, Cancelled]), [Done, Cancelled]);
+        assert!(look(&[Running, Done, Done, Cancelled]).is_empty());
+        assert_eq!(look(&[Done, Done, Done, Cancelled]), [Done]);
     }
 }
