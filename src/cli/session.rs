@@ -19,7 +19,7 @@ pub enum SessionCommand {
     /// Read every byte of a recording, and say what is damaged; nothing is changed
     Verify(SessionArgs),
     /// Mend in place a recording whose process died or whose bytes are damaged, or all in a folder that were left open
-    Repair(SessionArgs),
+    Repair(RepairArgs),
     /// Write a recording as a folder of 16-bit PNG images with lists
     Export(ConvertArgs),
     /// Write a folder of images with lists, or another program's bag, as a recording
@@ -44,6 +44,16 @@ pub struct ListArgs {
 pub struct SessionArgs {
     /// Folder of the recording, or an .mcap file
     pub session: PathBuf,
+    /// Print one JSON object on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `relief session repair`.
+#[derive(Debug, Args)]
+pub struct RepairArgs {
+    /// Folder of the recording, or a folder with recordings that were left open in it and beneath it
+    pub folder: PathBuf,
     /// Print one JSON object on standard output
     #[arg(long)]
     pub json: bool,
@@ -78,9 +88,8 @@ impl SessionCommand {
     pub fn prints_json(&self) -> bool {
         match self {
             SessionCommand::Ls(args) => args.json,
-            SessionCommand::Info(args)
-            | SessionCommand::Verify(args)
-            | SessionCommand::Repair(args) => args.json,
+            SessionCommand::Info(args) | SessionCommand::Verify(args) => args.json,
+            SessionCommand::Repair(args) => args.json,
             SessionCommand::Export(args) | SessionCommand::Import(args) => args.json,
             SessionCommand::Rm(args) => args.json,
         }

@@ -140,3 +140,28 @@ fn damage_is_found_and_mended() {
     assert_eq!(recovered + lost, 4);
     assert_eq!(said(&["verify", text(&recording)])["whole"], true);
 }
+
+#[test]
+fn repair_says_where_there_is_nothing_that_it_could_mend() {
+    let bench = Workbench::with_frames(1);
+    let folder = bench.path("");
+    let output = session(&["repair", text(&folder)]);
+    assert_says(&output, 0, &[]);
+    let printed = String::from_utf8_lossy(&output.stdout);
+    let nothing = format!("no recordings were left open in {}\n", folder.display());
+    assert_eq!(printed, nothing);
+    assert_eq!(
+        said(&["repair", text(&folder)])["recordings"],
+        Value::Array(Vec::new())
+    );
+
+    let recording = bench.path("recording");
+    said(&["import", text(&bench.session()), "--out", text(&recording)]);
+    fs::remove_file(recording.join("session.json")).unwrap();
+    let output = session(&["repair", text(&recording)]);
+    assert_says(&output, 1, &["holds .mcap files but no session.json"]);
+    for name in ["recording/segment-0000.mcap", "nowhere"] {
+        let output = session(&["repair", text(&bench.path(name))]);
+        assert_says(&output, 1, &[name, "is no folder"]);
+    }
+}

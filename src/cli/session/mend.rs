@@ -1,26 +1,23 @@
 //! `relief session repair` and `rm`.
 
-use super::{RemoveArgs, SessionArgs};
+use super::{RemoveArgs, RepairArgs};
 use crate::cli::run::Verdict;
+use anyhow::ensure;
 use mcap_session::{RecordingError, RepairNote, Repaired, SESSION_FILE_NAME};
 use serde_json::{Value, json};
 use std::path::Path;
 
 /// `relief session repair`: one recording, or all in a folder that were left open.
-pub fn repair(args: &SessionArgs) -> anyhow::Result<Verdict> {
-    let is_parent = args.session.is_dir() && !args.session.join(SESSION_FILE_NAME).exists();
-    let repaired: Vec<Repaired> = match is_parent {
-        true => mcap_session::repair_abandoned(&args.session)?,
-        false => vec![(
-            args.session.clone(),
-            Ok(mcap_session::repair(&args.session)?),
-        )],
-    };
+pub fn repair(args: &RepairArgs) -> anyhow::Result<Verdict> {
+    let repaired = mend(&args.folder)?;
     let has_failed = repaired.iter().any(|(_, result)| result.is_err());
     match args.json {
         true => {
             let recordings: Vec<Value> = repaired.iter().map(object).collect();
             println!("{}", json!({ "recordings": recordings }));
+        }
+        false if repaired.is_empty() => {
+            println!("no recordings were left open in {}", args.folder.display());
         }
         false => repaired
             .iter()
@@ -30,6 +27,24 @@ pub fn repair(args: &SessionArgs) -> anyhow::Result<Verdict> {
         true => Verdict::Failed,
         false => Verdict::Done,
     })
+}
+
+fn mend(folder: &Path) -> anyhow::Result<Vec<Repaired>> {
+    if folder.join(SESSION_FILE_NAME).exists() {
+        let repaired = mcap_session::repair(folder)?;
+        return Ok(vec![(folder.to_owned(), Ok(repaired))]);
+    }
+    let path = folder.display();
+    ensure!(
+        folder.is_dir(),
+        "{path} is no folder: a recording is mended as a whole"
+    );
+    ensure!(
+        !mcap_session::is_recording(folder),
+        "{path} holds .mcap files but no {SESSION_FILE_NAME}: it is not mended, \
+         relief session import reads it as far as it is whole"
+    );
+    Ok(mcap_session::repair_abandoned(folder)?)
 }
 
 fn object((path, result): &Repaired) -> Value {
