@@ -255,6 +255,9 @@ pub struct ChildArgs {
     /// Folder that the outputs will be moved into, as the report is to name it
     #[arg(long, value_name = "DIR", hide = true)]
     pub deliver_to: Option<PathBuf>,
+    /// Take the file of --config alone, and nothing of this machine
+    #[arg(long, hide = true)]
+    pub config_alone: bool,
     /// Take the turns of processor and disk that nobody else wants
     #[arg(long, hide = true)]
     pub idle: bool,

@@ -4,7 +4,10 @@ use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, da
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Frame, Sensor};
 use relief::{
-    config::{self, CalibrationPlaces, Config, ConfigError, FoundCalibration, Overrides},
+    config::{
+        self, CalibrationPlaces, Config, ConfigError, FoundCalibration, LayerPlaces, LayeredConfig,
+        Overrides,
+    },
     control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
     devices::open_recording,
     pipeline::{
@@ -112,6 +115,17 @@ impl FoundScan {
     /// Reads what the arguments name.
     pub fn read(args: &RecordedScanArgs) -> anyhow::Result<Self> {
         let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
+        Self::read_with(config, args)
+    }
+
+    /// Reads what the arguments name, with the configuration given and nothing of this machine.
+    fn read_alone(args: &RecordedScanArgs) -> anyhow::Result<Self> {
+        let places = LayerPlaces::only(args.config.as_deref());
+        let layered = LayeredConfig::read(&places, &Overrides::default())?;
+        Self::read_with(layered.config, args)
+    }
+
+    fn read_with(config: Config, args: &RecordedScanArgs) -> anyhow::Result<Self> {
         let recorded = RecordedScan::read(&args.output)?;
         let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
         let places = CalibrationPlaces {
@@ -138,7 +152,10 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         config,
         recorded,
         found,
-    } = FoundScan::read(&args.scan)?;
+    } = match args.child.config_alone {
+        true => FoundScan::read_alone(&args.scan)?,
+        false => FoundScan::read(&args.scan)?,
+    };
     let recorded = match args.single_view {
         Some(frame_id) => recorded.single_view(frame_id, &found.calibration)?,
         None => recorded,

@@ -134,6 +134,8 @@ fn arguments(attempt: &Attempt) -> Vec<OsString> {
         (&attempt.scan).into(),
         "--config".into(),
         (&attempt.settings).into(),
+        // They are complete: the machine's own may have changed since, or be half edited.
+        "--config-alone".into(),
         "--calibration-dir".into(),
         attempt.calibration_dir.into(),
         "--progress-json".into(),

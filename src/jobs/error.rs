@@ -1,7 +1,10 @@
 //! Why a job cannot be taken, found or cancelled.
 
 use super::{JobId, JobState};
-use std::{io, path::PathBuf};
+use std::{
+    io::{self, ErrorKind},
+    path::PathBuf,
+};
 
 /// Why the spool or the worker refuses.
 #[derive(Debug, thiserror::Error)]
@@ -47,4 +50,45 @@ pub enum JobError {
         /// What the system said.
         source: io::Error,
     },
+}
+
+impl JobError {
+    /// Whether the disk may do later what it refused: it was full, read-only or away.
+    pub(super) fn is_passing(&self) -> bool {
+        let JobError::Io { source, .. } = self else {
+            return false;
+        };
+        matches!(
+            source.kind(),
+            ErrorKind::StorageFull
+                | ErrorKind::QuotaExceeded
+                | ErrorKind::ReadOnlyFilesystem
+                | ErrorKind::StaleNetworkFileHandle
+                | ErrorKind::TimedOut
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::io::Errno;
+
+    #[test]
+    fn a_full_disk_passes_and_a_folder_that_is_gone_does_not() {
+        for (errno, is_passing) in [
+            (Errno::NOSPC, true),
+            (Errno::DQUOT, true),
+            (Errno::ROFS, true),
+            (Errno::NOENT, false),
+            (Errno::ACCESS, false),
+        ] {
+            let error = JobError::Io {
+                path: PathBuf::new(),
+                source: errno.into(),
+            };
+            assert_eq!(error.is_passing(), is_passing, "{error}");
+        }
+        assert!(!JobError::Stopping.is_passing());
+    }
 }

@@ -11,21 +11,23 @@ use std::{
 
 /// The folder of the shading images in a scan's folder.
 const SNAPSHOTS: &str = "snapshots";
+/// The version that jobs asked of this program are named by.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Files are read in pieces of so many bytes.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// Names the refinement of a scan with those settings by this version of the program: base mesh and scene, poses, shading images
+/// Names the refinement of a scan with those settings by that version of the program: base mesh and scene, poses, shading images
 /// with all that stands beside them, calibration, settings, version. Two scans of the same contents have different names.
 ///
 /// # Errors
 /// If the scan lacks one of these, or cannot be read.
-pub fn job_id(scan: &Path, settings: &str) -> Result<JobId, JobError> {
+pub fn job_id(scan: &Path, settings: &str, version: &str) -> Result<JobId, JobError> {
     let lacks = |what: &str| JobError::NotRefinable {
         session: scan.to_owned(),
         what: format!("there is no {what}"),
     };
     let mut hash = Sha256::new();
-    part(&mut hash, "version", env!("CARGO_PKG_VERSION").as_bytes());
+    part(&mut hash, "version", version.as_bytes());
     part(&mut hash, "settings", settings.as_bytes());
     let name = scan.file_name().unwrap_or_default();
     part(&mut hash, "scan", name.as_encoded_bytes());
@@ -113,13 +115,14 @@ mod tests {
     fn a_name_follows_from_every_input_and_from_nothing_else() {
         let root = tempfile::tempdir().unwrap();
         let scan = scan(root.path(), "a");
-        let name = || job_id(&scan, "x = 1").unwrap();
+        let name = || job_id(&scan, "x = 1", VERSION).unwrap();
         let first = name();
         fs::write(scan.join("report.json"), "{}").unwrap();
         fs::write(scan.join("refined.ply"), "ply").unwrap();
         fs::write(scan.join("snapshots/000/.ir.png.partial"), "").unwrap();
         assert_eq!(name(), first);
-        assert_ne!(job_id(&scan, "x = 2").unwrap(), first);
+        assert_ne!(job_id(&scan, "x = 2", VERSION).unwrap(), first);
+        assert_ne!(job_id(&scan, "x = 1", "another").unwrap(), first);
         let mut seen = vec![first];
         for changed in [
             "base.ply",
@@ -153,7 +156,7 @@ mod tests {
                 true => fs::remove_dir_all(path).unwrap(),
                 false => fs::remove_file(path).unwrap(),
             }
-            let error = job_id(&scan, "").unwrap_err().to_string();
+            let error = job_id(&scan, "", VERSION).unwrap_err().to_string();
             assert!(error.ends_with(said), "{error}");
         }
     }

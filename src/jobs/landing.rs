@@ -1,14 +1,18 @@
 //! How the outputs of a refinement come into the scan's folder: one by one, each whole, the mesh before what tells of it.
 
 use super::{JobError, spool};
-use crate::pipeline::{REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON};
+use crate::{
+    atomic_file::write_atomically,
+    pipeline::{REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON},
+};
 use std::{
     fs::{self, File},
     io,
     path::Path,
 };
 
-/// What is delivered; all else in the attempt's folder is in the scan's folder already.
+/// What is delivered. All else in the attempt's folder is in the scan's folder already, but for the masks of what refinement could
+/// use: a job is named by the shading images with their masks, so that the scan keeps those of where there is depth.
 const DELIVERED: [&str; 4] = [REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON];
 /// The reports of the scan itself, which those of its refinement replace, are kept under their names with this before them.
 const KEPT: &str = "capture-";
@@ -20,7 +24,10 @@ const KEPT: &str = "capture-";
 /// If the system refuses; the move may be begun again.
 pub fn land(out: &Path, scan: &Path) -> Result<(), JobError> {
     for name in [REPORT_HTML, REPORT_JSON] {
-        keep(scan, name)?;
+        // Once it has moved, what has its name in the scan's folder is no more the scan's own.
+        if out.join(name).is_file() {
+            keep(scan, name)?;
+        }
     }
     for name in DELIVERED {
         let from = out.join(name);
@@ -37,8 +44,9 @@ pub fn land(out: &Path, scan: &Path) -> Result<(), JobError> {
 
 /// Gives a file a second name, which it keeps when another takes its first.
 fn keep(scan: &Path, name: &str) -> Result<(), JobError> {
-    let from = scan.join(name);
-    match fs::hard_link(&from, scan.join(format!("{KEPT}{name}"))) {
+    let (from, kept) = (scan.join(name), scan.join(format!("{KEPT}{name}")));
+    match fs::hard_link(&from, &kept) {
+        Ok(()) => Ok(()),
         // There is none, or it was kept before.
         Err(error)
             if matches!(
@@ -48,8 +56,18 @@ fn keep(scan: &Path, name: &str) -> Result<(), JobError> {
         {
             Ok(())
         }
-        linked => linked.map_err(spool::at(&from)),
+        // Not every file system knows second names: exFAT and some of the network do not.
+        Err(_) => keep_copy(&from, &kept).map_err(spool::at(&from)),
     }
+}
+
+/// Copies a file that was not kept before, whole or not at all.
+fn keep_copy(from: &Path, kept: &Path) -> io::Result<()> {
+    if kept.exists() {
+        return Ok(());
+    }
+    let mut file = File::open(from)?;
+    write_atomically(kept, |copy| io::copy(&mut file, copy).map(|_| ()))
 }
 
 fn sync(folder: &Path) -> Result<(), JobError> {
@@ -85,7 +103,21 @@ mod tests {
             }
             assert_eq!(read("base.ply"), "the base mesh");
             assert_eq!(read("capture-report.json"), "of the scan");
+            assert!(!scan.join("capture-report.html").exists(), "it had none");
             assert!(!out.exists());
         }
+    }
+
+    #[test]
+    fn a_report_is_copied_once_where_a_file_has_one_name() {
+        let root = tempfile::tempdir().unwrap();
+        let scan = scan(root.path(), "a");
+        let (report, kept) = (scan.join(REPORT_JSON), scan.join("capture-report.json"));
+        for text in ["of the scan", "of the refinement"] {
+            fs::write(&report, text).unwrap();
+            keep_copy(&report, &kept).unwrap();
+            assert_eq!(fs::read_to_string(&kept).unwrap(), "of the scan");
+        }
+        assert!(!scan.join(".capture-report.json.partial").exists());
     }
 }

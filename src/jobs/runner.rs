@@ -32,10 +32,7 @@ impl Shared {
 
     /// Runs jobs until none waits or the worker is to stop.
     fn work_off(&self) -> Result<(), JobError> {
-        let cut_off = lock(&self.spool).landing()?;
-        for record in cut_off {
-            self.deliver(&record)?;
-        }
+        self.take_up()?;
         loop {
             if self.bell.is_stopped() {
                 return Ok(());
@@ -49,6 +46,18 @@ impl Shared {
             self.run(&record)?;
             self.refresh();
         }
+    }
+
+    /// Goes on with what lies among the running though nothing runs: what was landing lands, all else waits again.
+    fn take_up(&self) -> Result<(), JobError> {
+        let left = lock(&self.spool).left_running()?;
+        for record in left {
+            match record.is_landing {
+                true => self.deliver(&record)?,
+                false => self.put_back(&record)?,
+            }
+        }
+        Ok(())
     }
 
     fn run(&self, record: &Record) -> Result<(), JobError> {
@@ -111,11 +120,25 @@ impl Shared {
             self.clear(record)?;
             return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
         }
-        if lock(&self.spool).begin_landing(&record.id)? {
-            return self.deliver(record);
+        match self.begin_landing(record)? {
+            true => self.deliver(record),
+            false => self.put_back(record),
         }
-        self.clear(record)?;
-        lock(&self.spool).put_back(&record.id)
+    }
+
+    /// Notes that a job lands, as soon as the disk takes the note: until then nothing but this thread knows that the outputs are
+    /// whole.
+    fn begin_landing(&self, record: &Record) -> Result<bool, JobError> {
+        loop {
+            let begun = lock(&self.spool).begin_landing(&record.id);
+            match begun {
+                Err(error @ JobError::Io { .. }) if !self.bell.is_stopped() => {
+                    tracing::error!(job = %record.id, "the refined mesh waits: {error}");
+                    self.bell.rest(AFTER_REFUSAL);
+                }
+                begun => return begun,
+            }
+        }
     }
 
     fn deliver(&self, record: &Record) -> Result<(), JobError> {
@@ -123,14 +146,19 @@ impl Shared {
             let spool = lock(&self.spool);
             (spool.scan_folder(record), spool.output_folder(record))
         };
-        let landed = out.map_or(Ok(()), |out| land(&out, &scan));
-        if let Err(error) = landed {
-            tracing::error!(job = %record.id, "the refined mesh cannot be delivered: {error}");
-            self.clear(record)?;
-            return lock(&self.spool).fail(&record.id, error.to_string(), true);
+        match out.map_or(Ok(()), |out| land(&out, &scan)) {
+            Ok(()) => {
+                tracing::info!(job = %record.id, scan = record.scan, "refined");
+                lock(&self.spool).end(&record.id, JobState::Done, None)
+            }
+            // The outputs stay where they are, and land later.
+            Err(error) if error.is_passing() => Err(error),
+            Err(error) => {
+                tracing::error!(job = %record.id, "the refined mesh cannot be delivered: {error}");
+                self.clear(record)?;
+                lock(&self.spool).fail(&record.id, error.to_string(), true)
+            }
         }
-        tracing::info!(job = %record.id, scan = record.scan, "refined");
-        lock(&self.spool).end(&record.id, JobState::Done, None)
     }
 
     /// Why a job is not about its scan any more.
@@ -140,11 +168,17 @@ impl Shared {
             (spool.scan_folder(record), spool.settings_file(record))
         };
         let read = fs::read_to_string(&settings).map_err(spool::at(&settings));
-        match read.and_then(|settings| job_id(&scan, &settings)) {
+        match read.and_then(|settings| job_id(&scan, &settings, &record.version)) {
             Ok(id) if id == record.id => None,
             Ok(_) => Some("the scan has changed since".to_owned()),
             Err(error) => Some(error.to_string()),
         }
+    }
+
+    /// Removes what an attempt left, and lets its job wait again.
+    fn put_back(&self, record: &Record) -> Result<(), JobError> {
+        self.clear(record)?;
+        lock(&self.spool).put_back(&record.id)
     }
 
     /// Removes what an attempt left.

@@ -1,6 +1,7 @@
 //! The worker with a child that is a few lines of shell.
 
 use super::{
+    inputs::{VERSION, job_id},
     scenes::scan,
     spool::{Request, Spool},
     *,
@@ -69,6 +70,27 @@ impl Workbench {
             settings: "x = 1".to_owned(),
         })
         .unwrap()
+    }
+
+    /// The spool, in which a job of the scan waits that was asked of that version of the program.
+    fn spool_with_job(&self, version: &str) -> (Spool, JobId) {
+        let id = job_id(&self.scan, "x = 1", version).unwrap();
+        let request = Request {
+            id: id.clone(),
+            scan: "a",
+            settings: "x = 1",
+            version,
+            now_unix_ms: 1,
+            has_refined_mesh: false,
+        };
+        let spool = Spool::open(self.root.path(), 3).unwrap();
+        spool.submit(&request).unwrap();
+        (spool, id)
+    }
+
+    /// What keeps the file of a running job from being written: its partial file cannot be made.
+    fn refusal(&self, id: &JobId) -> PathBuf {
+        self.path(&format!("spool/running/.{id}.json.partial"))
     }
 
     fn n_runs(&self) -> usize {
@@ -229,6 +251,20 @@ fn a_scan_is_refined_with_its_own_calibration_where_it_has_one() {
 }
 
 #[test]
+fn a_child_is_given_the_settings_of_its_job_and_is_to_take_no_others() {
+    let bench = Workbench::new(&format!("echo \"$@\" > $here/arguments\n{REFINE}"));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    assert_eq!(end_of(&worker, &job.id).state, JobState::Done);
+    worker.stop();
+    let arguments = fs::read_to_string(bench.path("arguments")).unwrap();
+    let settings = bench.path("spool/settings");
+    let given = format!("--config {}/", settings.display());
+    assert!(arguments.contains(&given), "{arguments}");
+    assert!(arguments.contains(" --config-alone "), "{arguments}");
+}
+
+#[test]
 fn a_running_job_is_cancelled_even_if_the_child_does_not_listen() {
     for trap in ["trap 'exit 130' TERM", "trap '' TERM"] {
         let bench = Workbench::new(&format!(
@@ -306,16 +342,7 @@ fn a_child_that_hangs_is_ended_and_repeated() {
 fn what_ran_or_landed_when_the_daemon_was_killed_is_taken_up() {
     for was_landing in [false, true] {
         let bench = Workbench::new(REFINE);
-        let id = inputs::job_id(&bench.scan, "x = 1").unwrap();
-        let spool = Spool::open(bench.root.path(), 3).unwrap();
-        let request = Request {
-            id: id.clone(),
-            scan: "a",
-            settings: "x = 1",
-            now_unix_ms: 1,
-            has_refined_mesh: false,
-        };
-        spool.submit(&request).unwrap();
+        let (spool, id) = bench.spool_with_job(VERSION);
         let claimed = spool.claim().unwrap().unwrap();
         let out = spool.output_folder(&claimed).unwrap();
         fs::create_dir(&out).unwrap();
@@ -337,6 +364,57 @@ fn what_ran_or_landed_when_the_daemon_was_killed_is_taken_up() {
         assert_eq!(ended.failures.len(), n_failures);
         worker.stop();
     }
+}
+
+#[test]
+fn what_waits_when_the_program_is_replaced_is_run_by_the_new_one() {
+    let bench = Workbench::new(REFINE);
+    let (spool, id) = bench.spool_with_job("0.0.9");
+    drop(spool);
+    let worker = bench.worker();
+    assert_eq!(end_of(&worker, &id).state, JobState::Done);
+    assert_eq!(bench.n_runs(), 1);
+    // What is asked for now is asked of this program.
+    assert_ne!(worker.submit(&bench.scan).unwrap().id, id);
+    worker.stop();
+}
+
+#[test]
+fn a_job_that_the_disk_keeps_from_beginning_begins_when_it_lets_it() {
+    let bench = Workbench::new(REFINE);
+    let worker = bench.worker();
+    let refusal = bench.refusal(&job_id(&bench.scan, "x = 1", VERSION).unwrap());
+    fs::create_dir(&refusal).unwrap();
+    let job = worker.submit(&bench.scan).unwrap();
+    poll("the refusal", || worker.status().running);
+    assert_eq!(bench.n_runs(), 0);
+    fs::remove_dir(&refusal).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    worker.stop();
+}
+
+#[test]
+fn a_result_that_the_disk_keeps_from_landing_is_not_made_again() {
+    let bench = Workbench::new(&format!(
+        "mkdir $(cat $here/refusal)\n{REFINE}echo $$ > $here/pid"
+    ));
+    let id = job_id(&bench.scan, "x = 1", VERSION).unwrap();
+    let refusal = bench.refusal(&id);
+    fs::write(bench.path("refusal"), refusal.to_str().unwrap()).unwrap();
+    let worker = bench.worker();
+    worker.submit(&bench.scan).unwrap();
+    let pid = poll("the child", || {
+        let pid = fs::read_to_string(bench.path("pid")).ok();
+        pid.filter(|pid| pid.ends_with('\n'))
+    });
+    let process = PathBuf::from(format!("/proc/{}", pid.trim()));
+    poll("the end of the child", || (!process.exists()).then_some(()));
+    fs::remove_dir(&refusal).unwrap();
+    let ended = end_of(&worker, &id);
+    assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    assert_eq!(bench.n_runs(), 1);
+    worker.stop();
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::{
     Job, JobError, JobId, JobProgress, JobState, WorkerParams,
-    inputs::job_id,
+    inputs::{VERSION, job_id},
     spool::{self, Place, Request, Spool},
 };
 use crate::{lock::lock, pipeline::REFINED_PLY};
@@ -181,9 +181,10 @@ impl Shared {
         let settings = lock(&self.board).settings.clone();
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
         let request = Request {
-            id: job_id(session, &settings)?,
+            id: job_id(session, &settings, VERSION)?,
             scan,
             settings: &settings,
+            version: VERSION,
             now_unix_ms: since_1970.map_or(0, |time| time.as_millis() as u64),
             has_refined_mesh: session.join(REFINED_PLY).is_file(),
         };

@@ -1,6 +1,6 @@
 //! The refinement worker with the real program as its child.
 
-use crate::support::{PROGRAM, poll};
+use crate::support::{PROGRAM, assert_says, poll};
 use relief::{
     config::Config,
     export::read_ply,
@@ -118,6 +118,8 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
         let line = limits.lines().find(|line| line.starts_with(name)).unwrap();
         assert!(line.contains(value), "{line}");
     }
+    let wish = fs::read_to_string(child.join("oom_score_adj")).unwrap();
+    assert_eq!(wish.trim(), "1000", "it is killed before the daemon");
 
     let pid = child.file_name().unwrap();
     let killed = Command::new("kill").arg("-9").arg(pid).status().unwrap();
@@ -195,4 +197,28 @@ fn a_child_that_needs_more_than_it_may_have_fails_and_says_so() {
         assert!(first.starts_with(&expected), "{first}");
         assert_eq!(files(&scan), before);
     }
+}
+
+#[test]
+fn a_child_takes_the_settings_of_its_job_and_nothing_of_the_machine() {
+    let root = tempfile::tempdir().unwrap();
+    let etc = root.path().join("etc/relief");
+    fs::create_dir_all(&etc).unwrap();
+    fs::write(etc.join("relief.toml"), "half = ").unwrap();
+    let own = root.path().join("settings.toml");
+    fs::write(&own, settings()).unwrap();
+    let refine = |more: &[&str]| {
+        Command::new(PROGRAM)
+            .args(["refine", "no-such-scan", "--out", "no-such-folder"])
+            .arg("--config")
+            .arg(&own)
+            .args(more)
+            .env("RELIEF_CONFIG_ROOT", root.path())
+            .env("RELIEF_REFINE__N_ROUNDS", "0")
+            .output()
+            .unwrap()
+    };
+    assert_says(&refine(&[]), 2, &["etc/relief/relief.toml"]);
+    // The settings are taken, and the scan is looked for.
+    assert_says(&refine(&["--config-alone"]), 1, &["no-such-scan"]);
 }

@@ -65,6 +65,9 @@ pub struct Record {
     pub submitted_unix_ms: u64,
     /// Name of the file of its settings.
     pub settings: String,
+    /// The version of the program that it is named by; whichever is there when its turn comes runs it.
+    #[serde(default = "first_version")]
+    pub version: String,
     /// Why its attempts failed, in order.
     pub failures: Vec<String>,
     /// The number of the output folder of the attempt that is under way.
@@ -73,6 +76,11 @@ pub struct Record {
     pub is_landing: bool,
     /// How it ended; the file then lies in the folder of the ending, or is on its way there.
     pub ending: Option<Ending>,
+}
+
+/// The version of the records that name none.
+fn first_version() -> String {
+    "0.1.0".to_owned()
 }
 
 impl Record {
@@ -95,5 +103,21 @@ impl Record {
                 .and_then(|ending| ending.message.clone()),
             progress: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_that_names_no_version_is_of_the_first() {
+        let text = format!(
+            r#"{{"id":"{:064x}","scan":"a","sequence":0,"submitted_unix_ms":1,"settings":"s.toml",
+                "failures":[],"attempt":null,"is_landing":false,"ending":null}}"#,
+            1
+        );
+        let record: Record = serde_json::from_str(&text).unwrap();
+        assert_eq!(record.version, "0.1.0");
     }
 }

@@ -16,6 +16,7 @@ fn request(digit: u32, scan: &str) -> Request<'_> {
         id: id(digit),
         scan,
         settings: "x = 1",
+        version: "0.1.0",
         now_unix_ms: 1,
         has_refined_mesh: true,
     }
@@ -281,7 +282,7 @@ fn check(spool: &Spool, root: &Path, model: &Model) {
     for scan in ["a", "b"] {
         for entry in fs::read_dir(root.join("sessions").join(scan)).unwrap() {
             let name = entry.unwrap().file_name().into_string().unwrap();
-            let landing = spool.landing().unwrap();
+            let landing = spool.left_running().unwrap();
             let of_landing = landing.iter().any(|record| {
                 record.scan == scan && spool.output_folder(record).unwrap().ends_with(&name)
             });
@@ -336,15 +337,7 @@ fn whatever_moment_the_process_ends_at_no_job_is_lost_doubled_or_stuck() {
             }
         }
         // In the end everything can be worked off.
-        for record in spool.landing().unwrap() {
-            spool.end(&record.id, JobState::Done, None).unwrap();
-        }
-        if let Some((_, record)) = spool
-            .list()
-            .unwrap()
-            .iter()
-            .find(|(place, _)| *place == Place::Running)
-        {
+        for record in spool.left_running().unwrap() {
             spool.end(&record.id, JobState::Done, None).unwrap();
         }
         while let Some(record) = spool.claim().unwrap() {

@@ -16,6 +16,8 @@ pub struct Request<'a> {
     pub scan: &'a str,
     /// What it is run with, TOML.
     pub settings: &'a str,
+    /// The version of the program that it is named by.
+    pub version: &'a str,
     /// The present moment, milliseconds since 1970.
     pub now_unix_ms: u64,
     /// Whether the scan's folder holds a refined mesh.
@@ -50,6 +52,7 @@ impl Spool {
                     sequence,
                     submitted_unix_ms: request.now_unix_ms,
                     settings: self.keep_settings(request.settings)?,
+                    version: request.version.to_owned(),
                     failures: Vec::new(),
                     attempt,
                     is_landing: false,
@@ -96,13 +99,13 @@ impl Spool {
         Ok(Some(record))
     }
 
-    /// The jobs whose outputs were being moved when the process ended.
+    /// The jobs that lie among the running; while no child runs, those that the end of the process or a refusal of the disk left
+    /// there.
     ///
     /// # Errors
     /// If the system refuses.
-    pub fn landing(&self) -> Result<Vec<Record>, JobError> {
-        let running = self.records(Place::Running)?.into_iter();
-        Ok(running.filter(|record| record.is_landing).collect())
+    pub fn left_running(&self) -> Result<Vec<Record>, JobError> {
+        self.records(Place::Running)
     }
 
     /// Notes that the running job's outputs are whole and go to the scan's folder; false if somebody has ended it meanwhile.
