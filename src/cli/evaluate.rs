@@ -1,8 +1,9 @@
 //! `relief evaluate`: how well refinement of a scan explains images that it was not made from, as in Section 5 of the paper.
 //!
 //! Views are left out in folds; each is rendered from the base and from the refined surface and compared with what the sensor
-//! saw. With `--ablations` the same is done with something changed (`ablations`), all judged by the same views. With `--truth` both surfaces are compared with a mesh measured by something better, which nothing else is
-//! given. The report is Markdown with pictures beside it.
+//! saw. With `--ablations` the same is done with something changed (`ablations`), all judged by the same views. With `--truth` both
+//! surfaces are compared with a mesh measured by something better, which nothing else is given. The report is Markdown with pictures
+//! beside it. A wrong truth ends it before the long work; what else comes to nothing stands in the report with its reason.
 
 mod ablations;
 
@@ -13,7 +14,7 @@ use super::{
 use anyhow::{Context, ensure};
 use depth_camera::CameraInfo;
 use relief::{
-    evaluate::{Cameras, SurfaceError, Truth, surface_error},
+    evaluate::{Cameras, SurfaceError, SurfaceErrorFailure, Truth, surface_error},
     export::{
         AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, MeanView, PhongParams,
         PictureSize, TruthFigures, phong, read_ply, three_views, write_evaluation,
@@ -21,7 +22,8 @@ use relief::{
     geometry::{CameraModel, Pose, RayGrid, TriMesh},
     pipeline::{OutputFolder, RecordedScan},
     refine::{
-        Crop, HeldOut, JudgedView, Judgement, Optics, RefineParams, Subject, cross_validate, refine,
+        Crop, HeldOut, JudgedView, Judgement, Optics, RefineError, RefineParams, Subject,
+        cross_validate, refine,
     },
     shading::Calibration,
     snapshot::ShadingSnapshot,
@@ -98,52 +100,52 @@ impl Scan {
         let rays = RayGrid::new(CameraModel::new(self.info.intrinsics));
         let optics = self.optics(&rays, calibration)?;
         let subject = self.subject(&optics);
+        let truth_from_world = args.truth_pose.map_or(Pose::identity(), |pose| pose.0);
+        let against =
+            |mesh: &TriMesh| truth.map(|truth| self.against(truth, truth_from_world, mesh));
+        // First of all, since a truth that lies elsewhere is an error.
+        let base_truth = against(&self.object).transpose()?;
+        let refined = refine(&subject, params, |_| true).map(|refined| refined.mesh);
+        let refined_mesh = refined.as_ref().ok();
+        let refined_truth = refined_mesh.and_then(against).transpose()?;
         let n_folds = args.folds.min(self.snapshots.len());
-        let folded = |fold| {
-            tracing::info!(fold = fold + 1, of = n_folds, "fold judged");
-            true
-        };
-        let judged = match n_folds {
-            0 => Vec::new(),
-            _ => cross_validate(&subject, params, n_folds, folded)?,
+        let (judged, not_judged_reason) = match judged_in_folds(&subject, params, n_folds) {
+            Ok(judged) => (judged, None),
+            Err(error) => (Vec::new(), Some(error.to_string())),
         };
         let ablations = match args.ablations {
-            true => ablations::judged(self, &rays, calibration, params)?,
+            true => ablations::judged(self, &rays, calibration, params),
             false => Vec::new(),
         };
-        let refined = refine(&subject, params, |_| true);
-        let refined_mesh = refined.as_ref().ok().map(|refined| &refined.mesh);
-        let truth_from_world = args.truth_pose.map_or(Pose::identity(), |pose| pose.0);
-        let against = |truth| self.against(truth, truth_from_world, refined_mesh);
         Ok(EvaluationReport {
-            truth: truth.map(against).transpose()?,
             session: self.session.clone(),
+            truth: base_truth.map(|base| AgainstTruth {
+                base,
+                refined: refined_truth,
+            }),
             n_folds,
             overall: figures(None, &Judgement::of(&judged).overall),
             views: judged.iter().map(|view| self.left_out(view)).collect(),
+            not_judged_reason,
             ablations,
             not_refined_reason: refined.as_ref().err().map(ToString::to_string),
             pictures: self.pictures(&judged, refined_mesh),
         })
     }
 
-    /// Both surfaces against the truth.
+    /// A surface of the scan against the truth.
     fn against(
         &self,
         truth: &Truth,
         truth_from_world: Pose,
-        refined: Option<&TriMesh>,
-    ) -> anyhow::Result<AgainstTruth> {
+        mesh: &TriMesh,
+    ) -> Result<TruthFigures, SurfaceErrorFailure> {
         let cameras = Cameras {
             model: &CameraModel::new(self.info.intrinsics),
             world_from_cameras: &self.world_from_cameras,
             truth_from_world,
         };
-        let figures = |mesh| anyhow::Ok(truth_figures(&surface_error(truth, mesh, &cameras)?));
-        Ok(AgainstTruth {
-            base: figures(&self.object)?,
-            refined: refined.map(figures).transpose()?,
-        })
+        surface_error(truth, mesh, &cameras).map(|error| truth_figures(&error))
     }
 
     fn optics<'a>(
@@ -198,6 +200,22 @@ impl Scan {
     }
 }
 
+/// Every view, judged by a refinement from the other folds; none without folds.
+fn judged_in_folds(
+    subject: &Subject,
+    params: &RefineParams,
+    n_folds: usize,
+) -> Result<Vec<JudgedView>, RefineError> {
+    let folded = |fold| {
+        tracing::info!(fold = fold + 1, of = n_folds, "fold judged");
+        true
+    };
+    match n_folds {
+        0 => Ok(Vec::new()),
+        _ => cross_validate(subject, params, n_folds, folded),
+    }
+}
+
 fn truth_figures(error: &SurfaceError) -> TruthFigures {
     TruthFigures {
         n_points: error.n_points,
@@ -224,5 +242,94 @@ fn figures(frame_id: Option<u64>, held_out: &HeldOut) -> LeftOutView {
         n_pixels: *n_pixels,
         intensity: [base.intensity, refined.intensity, noise.intensity],
         gradient: [base.gradient, refined.gradient, noise.gradient],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::{Cli, Command};
+    use clap::Parser;
+    use depth_camera::{Image, Intrinsics, Light, Sensor};
+    use relief::{export::AblationOutcome, refine::MAX_VIEWS};
+
+    fn arguments() -> EvaluateArgs {
+        let line = ["relief", "evaluate", "scan", "--out", "out", "--ablations"];
+        match Cli::try_parse_from(line).unwrap().command {
+            Command::Evaluate(args) => args,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// A scan of nothing, with one image more than refinement takes.
+    fn scan() -> Scan {
+        let snapshot = ShadingSnapshot {
+            frame_id: 0,
+            device_time_secs: 0.0,
+            n_exposures: 1,
+            ir_counts: Image::filled(1, 1, 0.0),
+            unlit_counts: None,
+            depth_m: Image::filled(1, 1, 0.0),
+            world_from_camera: Pose::identity(),
+        };
+        let intrinsics = Intrinsics {
+            width: 32,
+            height: 24,
+            fx: 30.0,
+            fy: 30.0,
+            cx: 15.5,
+            cy: 11.5,
+            k1: 0.0,
+            k2: 0.0,
+            p1: 0.0,
+            p2: 0.0,
+            k3: 0.0,
+        };
+        Scan {
+            session: "nothing".into(),
+            info: CameraInfo {
+                sensor: Sensor::Kinect2,
+                serial: "nothing".into(),
+                driver: None,
+                intrinsics,
+                ir_full_scale: Some(65535.0),
+                ir_gain: None,
+                light: Some(Light::kinect2_emitter()),
+                n_frames: None,
+            },
+            base: TriMesh::default(),
+            object: TriMesh::default(),
+            mean_view: MeanView::from_poses(&[]),
+            world_from_cameras: Vec::new(),
+            snapshots: vec![snapshot; MAX_VIEWS + 1],
+        }
+    }
+
+    fn evaluated(truth: Option<&Truth>) -> anyhow::Result<EvaluationReport> {
+        let calibration = Calibration::shipped(Sensor::Kinect2).map_err(anyhow::Error::msg)?;
+        scan().evaluate(&arguments(), truth, &calibration, &RefineParams::default())
+    }
+
+    #[test]
+    fn what_comes_to_nothing_stands_in_the_report() {
+        let report = evaluated(None).unwrap();
+        let n_views = MAX_VIEWS + 1;
+        let reason = RefineError::TooManyViews { n_views }.to_string();
+        assert_eq!(report.not_judged_reason.as_ref(), Some(&reason));
+        assert_eq!(report.not_refined_reason.as_ref(), Some(&reason));
+        assert!(!report.ablations.is_empty());
+        for ablation in &report.ablations {
+            let AblationOutcome::Failed { not_judged_reason } = &ablation.outcome else {
+                panic!("{ablation:?}");
+            };
+            assert_eq!(*not_judged_reason, reason);
+        }
+    }
+
+    #[test]
+    fn a_truth_that_lies_elsewhere_ends_it_before_the_long_work() {
+        let truth = Truth::new(TriMesh::default(), None);
+        let error = evaluated(Some(&truth)).unwrap_err();
+        assert!(error.is::<SurfaceErrorFailure>(), "{error}");
     }
 }

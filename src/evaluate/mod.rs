@@ -4,6 +4,7 @@ mod surface_error;
 mod surface_samples;
 mod trajectory;
 mod truth;
+mod weld;
 
 pub use surface_error::{Cameras, SurfaceError, SurfaceErrorFailure, surface_error};
 pub use trajectory::{PosePair, TrajectoryError, trajectory_error};

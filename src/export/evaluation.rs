@@ -21,6 +21,8 @@ pub struct EvaluationReport {
     pub overall: LeftOutView,
     /// Each view.
     pub views: Vec<LeftOutView>,
+    /// Why no views are judged, if one of the folds came to nothing.
+    pub not_judged_reason: Option<String>,
     /// The same with something changed.
     pub ablations: Vec<Ablation>,
     /// Why the refined mesh is not delivered, if it is not.
@@ -78,12 +80,29 @@ pub struct LeftOutView {
 pub struct Ablation {
     /// What was changed.
     pub what: String,
-    /// All judging views together.
-    pub figures: LeftOutView,
-    /// Root mean square of the gains, less 1, that took up slow differences of brightness.
-    pub slow_gain: f64,
-    /// Processor time of preparing, refining and judging, all threads together.
-    pub cpu_secs: f64,
+    /// What came of it.
+    #[serde(flatten)]
+    pub outcome: AblationOutcome,
+}
+
+/// What came of a variation.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum AblationOutcome {
+    /// It is judged.
+    Judged {
+        /// All judging views together.
+        figures: LeftOutView,
+        /// Root mean square of the gains, less 1, that took up slow differences of brightness.
+        slow_gain: f64,
+        /// Processor time of preparing, refining and judging, all threads together.
+        cpu_secs: f64,
+    },
+    /// It came to nothing.
+    Failed {
+        /// Why.
+        not_judged_reason: String,
+    },
 }
 
 /// What is shown.
@@ -153,23 +172,13 @@ fn markdown(report: &EvaluationReport) -> String {
     if let Some(reason) = &report.not_refined_reason {
         line(&format!("The refined mesh is not delivered: {reason}.\n"));
     }
-    if report.n_folds > 0 {
-        left_out(report, &mut line);
+    match &report.not_judged_reason {
+        Some(reason) => line(&format!("The views left out are not judged: {reason}.\n")),
+        None if report.n_folds > 0 => left_out(report, &mut line),
+        None => {}
     }
     if !report.ablations.is_empty() {
-        line(
-            "\n## With something changed\n\nAll judged by the same quarter of the views, none of which was learnt from.\n",
-        );
-        line(&format!("| changed | {COLUMNS} slow gain | processor s |"));
-        line(&format!("|---|{RULE}---|---|"));
-        for ablation in &report.ablations {
-            line(&format!(
-                "{} {:.3} | {:.1} |",
-                row(&ablation.what, &ablation.figures),
-                ablation.slow_gain,
-                ablation.cpu_secs
-            ));
-        }
+        with_something_changed(&report.ablations, &mut line);
     }
     line("\n## Pictures\n");
     let pictures = &report.pictures;
@@ -206,6 +215,32 @@ fn left_out(report: &EvaluationReport, line: &mut impl FnMut(&str)) {
         line(&row(&name, view));
     }
     line(&row("all", &report.overall));
+}
+
+/// Every variation, and below them why some came to nothing.
+fn with_something_changed(ablations: &[Ablation], line: &mut impl FnMut(&str)) {
+    line(
+        "\n## With something changed\n\nAll judged by the same quarter of the views, none of which was learnt from.\n",
+    );
+    line(&format!("| changed | {COLUMNS} slow gain | processor s |"));
+    line(&format!("|---|{RULE}---|---|"));
+    for ablation in ablations {
+        if let AblationOutcome::Judged {
+            figures,
+            slow_gain,
+            cpu_secs,
+        } = &ablation.outcome
+        {
+            let row = row(&ablation.what, figures);
+            line(&format!("{row} {slow_gain:.3} | {cpu_secs:.1} |"));
+        }
+    }
+    for ablation in ablations {
+        if let AblationOutcome::Failed { not_judged_reason } = &ablation.outcome {
+            let what = &ablation.what;
+            line(&format!("\nNot judged: {what}: {not_judged_reason}."));
+        }
+    }
 }
 
 /// Distances to the truth, in the columns of `TruthFigures`.
@@ -292,12 +327,23 @@ mod tests {
                 ..view
             },
             views: vec![view],
-            ablations: vec![Ablation {
-                what: "3 views".into(),
-                figures: view,
-                slow_gain: 0.021,
-                cpu_secs: 12.34,
-            }],
+            not_judged_reason: None,
+            ablations: vec![
+                Ablation {
+                    what: "1 views".into(),
+                    outcome: AblationOutcome::Failed {
+                        not_judged_reason: "none sees it".into(),
+                    },
+                },
+                Ablation {
+                    what: "3 views".into(),
+                    outcome: AblationOutcome::Judged {
+                        figures: view,
+                        slow_gain: 0.021,
+                        cpu_secs: 12.34,
+                    },
+                },
+            ],
             not_refined_reason: None,
             pictures: EvaluationPictures {
                 error_maps: Some([Image::filled(3, 2, 0.01), Image::filled(3, 2, f32::NAN)]),
@@ -327,5 +373,13 @@ mod tests {
             serde_json::from_slice(&fs::read(folder.path().join("evaluation.json")).unwrap())
                 .unwrap();
         assert_eq!(json["views"][0]["intensity"][1], 0.05);
+        assert!(
+            text.contains("\nNot judged: 1 views: none sees it."),
+            "{text}"
+        );
+        let ablations = &json["ablations"];
+        assert_eq!(ablations[0]["not_judged_reason"], "none sees it");
+        assert_eq!(ablations[1]["figures"]["n_pixels"], 1234);
+        assert!(ablations[1].get("not_judged_reason").is_none());
     }
 }

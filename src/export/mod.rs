@@ -49,8 +49,8 @@ pub use calibration_page::{
 };
 pub use error::ExportError;
 pub use evaluation::{
-    Ablation, AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, TruthFigures,
-    write_evaluation,
+    Ablation, AblationOutcome, AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView,
+    TruthFigures, write_evaluation,
 };
 pub use glb::write_glb;
 pub use material::PhongParams;

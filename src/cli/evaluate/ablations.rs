@@ -1,8 +1,9 @@
-//! `relief evaluate --ablations`: the same with something changed, judged by every fourth view and made from the rest.
+//! `relief evaluate --ablations`: the same with something changed, judged by every fourth view and made from the rest. One that comes
+//! to nothing, as where its views do not show the object, leaves the others their figures.
 
 use super::{super::processor_time::process_cpu_secs, Scan, figures};
 use relief::{
-    export::Ablation,
+    export::{Ablation, AblationOutcome},
     geometry::RayGrid,
     refine::{
         AlbedoMode, AlbedoParams, JacobianMode, Judgement, Linearisation, RefineParams, SiteKind,
@@ -26,32 +27,46 @@ pub fn judged(
     rays: &RayGrid,
     calibration: &Calibration,
     params: &RefineParams,
-) -> anyhow::Result<Vec<Ablation>> {
+) -> Vec<Ablation> {
     let n_views = scan.snapshots.len();
     let judges: Vec<usize> = (1..n_views).step_by(4).collect();
     let rest: Vec<usize> = (0..n_views).filter(|view| !judges.contains(view)).collect();
-    let judge = |variation: Variation| {
-        let Variation {
-            what,
-            calibration,
-            params,
-            learning,
-        } = variation;
-        let optics = scan.optics(rays, &calibration)?;
-        let start_secs = process_cpu_secs();
-        let views = validate(&scan.subject(&optics), &params, &learning, &judges)?;
-        let cpu_secs = process_cpu_secs() - start_secs;
-        let overall = Judgement::of(&views).overall;
-        tracing::info!(what, cpu_secs, "ablation judged");
-        Ok(Ablation {
-            what,
-            figures: figures(None, &overall),
-            slow_gain: overall.slow_gain,
-            cpu_secs,
-        })
+    let ablation = |variation: Variation| {
+        let outcome = judge(scan, rays, &variation, &judges);
+        Ablation {
+            what: variation.what,
+            outcome: outcome.unwrap_or_else(|error| AblationOutcome::Failed {
+                not_judged_reason: format!("{error:#}"),
+            }),
+        }
     };
     let variations = variations(calibration, params, &rest);
-    variations.into_iter().map(judge).collect()
+    variations.into_iter().map(ablation).collect()
+}
+
+fn judge(
+    scan: &Scan,
+    rays: &RayGrid,
+    variation: &Variation,
+    judges: &[usize],
+) -> anyhow::Result<AblationOutcome> {
+    let Variation {
+        what,
+        calibration,
+        params,
+        learning,
+    } = variation;
+    let optics = scan.optics(rays, calibration)?;
+    let start_secs = process_cpu_secs();
+    let views = validate(&scan.subject(&optics), params, learning, judges)?;
+    let cpu_secs = process_cpu_secs() - start_secs;
+    let overall = Judgement::of(&views).overall;
+    tracing::info!(what, cpu_secs, "ablation judged");
+    Ok(AblationOutcome::Judged {
+        figures: figures(None, &overall),
+        slow_gain: overall.slow_gain,
+        cpu_secs,
+    })
 }
 
 fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) -> Vec<Variation> {
@@ -59,6 +74,8 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
     const GAMMAS: [f64; 2] = [0.85, 1.15];
     /// Numbers of views that are tried.
     const N_VIEWS: [usize; 5] = [1, 3, 6, 12, 24];
+    /// Deviations of poses that are held, radians and metres: the least that the parameters may have.
+    const HELD: f64 = 1e-6;
     let with = |what: &str, change: &dyn Fn(&mut RefineParams)| {
         let mut changed = params.clone();
         change(&mut changed);
@@ -97,7 +114,9 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
     }
     variations.extend([
         with("poses as tracked", &|params| {
-            params.alignment.iterations = 0
+            // Not by taking no steps, which find the gains as well.
+            params.alignment.rotation_sigma_rad = HELD;
+            params.alignment.translation_sigma_m = HELD;
         }),
         with("one gain a view, no field", &|params| {
             params.trust.gain_cell_m = 10.0;
@@ -134,4 +153,35 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         variations.push(believed(", told by the images", true));
     }
     variations
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use depth_camera::Sensor;
+
+    #[test]
+    fn every_variation_is_within_its_bounds() {
+        let calibration = Calibration::shipped(Sensor::Kinect2).unwrap();
+        let variations = variations(&calibration, &RefineParams::default(), &[0, 2, 3, 4]);
+        for variation in &variations {
+            let Variation { what, params, .. } = variation;
+            assert_eq!(params.validate(), Ok(()), "{what}");
+            assert_eq!(variation.calibration.validate(), Ok(()), "{what}");
+        }
+    }
+
+    #[test]
+    fn tracked_poses_leave_the_gains_to_the_images() {
+        let calibration = Calibration::shipped(Sensor::Kinect2).unwrap();
+        let configured = RefineParams::default();
+        let variations = variations(&calibration, &configured, &[0, 2]);
+        let is_it = |variation: &&Variation| variation.what == "poses as tracked";
+        let held = &variations.iter().find(is_it).unwrap().params.alignment;
+        let free = &configured.alignment;
+        assert_eq!(held.iterations, free.iterations);
+        assert_eq!(held.gain_sigma, free.gain_sigma);
+        assert!(held.rotation_sigma_rad < 1e-3 * free.rotation_sigma_rad);
+        assert!(held.translation_sigma_m < 1e-3 * free.translation_sigma_m);
+    }
 }
