@@ -18,11 +18,15 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const UNSIGNED_BYTE: u32 = 5121;
 const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
+/// This share of the vertices is no brighter than white. The brightest of a refined scan is up to three and a half times as bright as
+/// that, and would leave all others dark.
+const WHITE_SHARE: f64 = 0.995;
 
 /// Writes a mesh as binary glTF 2.0 with one rough, non-metallic, double-sided material.
 ///
-/// Albedo, if given, becomes the linear vertex colour in grey. Colours end at 1: albedos beyond that are all divided by the
-/// largest, which stands in the file as `meshes[0].extras.albedo_full_scale`. The other attributes are the application's own:
+/// Albedo, if given, becomes the linear vertex colour in grey. It contains the light's strength: white is the albedo that 0.5 % of
+/// the vertices pass, which are white too, and stands in the file as `meshes[0].extras.albedo_full_scale`. The other attributes are
+/// the application's own:
 /// `_SIGMA` (metres), `_CONFIDENCE`, `_COVERAGE` (0 to 1), `_VIEWS` and `_LABEL`, all floats. Where a vertex has no normal (zero length),
 /// the file says (0, 0, −1), towards the first camera, since glTF demands unit length.
 ///
@@ -94,7 +98,7 @@ fn describe(
     let mut extras = json!({"unit": "metre"});
     if let Some(known) = known {
         let albedo = known.albedo;
-        let full_scale = albedo.iter().copied().fold(1.0, f64::max);
+        let full_scale = white(albedo);
         let grey = |rho: &f64| [(255.0 * rho / full_scale).round() as u8; 3];
         let colours = albedo.iter().map(grey).map(|[r, g, b]| [r, g, b, 255]);
         let colours = binary.push(ARRAY_BUFFER, colours);
@@ -141,6 +145,17 @@ fn describe(
         "buffers": [{"byteLength": binary.bytes.len()}],
     });
     (document, binary)
+}
+
+/// The albedo that is shown white; 1 where all is black. There is at least one.
+fn white(albedo: &[f64]) -> f64 {
+    let mut sorted = albedo.to_vec();
+    let rank = ((sorted.len() - 1) as f64 * WHITE_SHARE) as usize;
+    let (_, white, _) = sorted.select_nth_unstable_by(rank, f64::total_cmp);
+    match *white > 0.0 {
+        true => *white,
+        false => 1.0,
+    }
 }
 
 /// The smallest and largest coordinates as they stand in the file.
@@ -252,11 +267,6 @@ mod tests {
         for normal in floats(bytes_of(&document, &binary, 2)).chunks_exact(3) {
             assert!((Vector3::from_column_slice(normal).norm() - 1.0).abs() < 1e-6);
         }
-        let colours = bytes_of(&document, &binary, 3);
-        assert_eq!(&colours[colours.len() - 4..], [255; 4]);
-        let extras = &document["meshes"][0]["extras"];
-        let full_scale = extras["albedo_full_scale"].as_f64().unwrap();
-        assert!((full_scale - columns.albedo[columns.albedo.len() - 1]).abs() < 1e-12);
         let attributes = &document["meshes"][0]["primitives"][0]["attributes"];
         let column = |name: &str| {
             let accessor = attributes[name].as_u64().unwrap() as usize;
@@ -268,6 +278,37 @@ mod tests {
         assert_eq!(column("_COVERAGE"), narrow(&columns.coverage));
         assert_eq!(column("_LABEL")[5], f32::from(columns.label[5]));
         assert_eq!(column("_VIEWS")[5], f32::from(columns.n_views[5]));
+    }
+
+    #[test]
+    fn greys_are_apart_under_weak_light_and_beside_bright_sites() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sphere.glb");
+        let mesh = bumpy_sphere(16);
+        let n = mesh.vertices.len();
+        let mut columns = Columns::of(n);
+        columns.albedo = (0..n).map(|k| 0.1 + 0.1 * k as f64 / n as f64).collect();
+        columns.albedo[7] = 1.0;
+        let normals = mesh.vertex_normals();
+        write_glb(&path, &mesh, &normals, Some(&columns.attributes())).unwrap();
+        let (document, binary) = dissect(&std::fs::read(&path).unwrap());
+        let extras = &document["meshes"][0]["extras"];
+        let full_scale = extras["albedo_full_scale"].as_f64().unwrap();
+        assert!((0.195..0.2).contains(&full_scale), "{full_scale}");
+        let colours = bytes_of(&document, &binary, 3).chunks_exact(4);
+        for (colour, &albedo) in colours.zip(&columns.albedo) {
+            let [r, g, b, alpha] = [colour[0], colour[1], colour[2], colour[3]];
+            assert_eq!((r, g, alpha), (b, b, 255));
+            let shown = f64::from(r) / 255.0 * full_scale;
+            // Half a step, and what is brighter than white.
+            let expected = albedo.min(full_scale);
+            assert!((shown - expected).abs() < 0.51 / 255.0 * full_scale);
+        }
+    }
+
+    #[test]
+    fn an_all_black_mesh_has_a_scale() {
+        assert_eq!(white(&[0.0; 3]), 1.0);
     }
 
     #[test]

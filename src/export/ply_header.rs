@@ -1,5 +1,7 @@
 //! The header of a PLY file: which elements follow, and how their properties are stored.
 
+use std::borrow::Cow;
+
 /// A number type of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
@@ -61,9 +63,11 @@ pub(super) struct Header {
     pub elements: Vec<Element>,
 }
 
+const NO_END: &str = "truncated, the header has no end_header";
+
 /// Splits a file into its header and the bytes behind it; the error says what is wrong.
 pub(super) fn parse_header(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
-    let (magic, mut rest) = next_line(bytes).unwrap_or(("", bytes));
+    let (magic, mut rest) = next_line(bytes).unwrap_or((Cow::Borrowed(""), bytes));
     if magic != "ply" {
         return Err("not a PLY file, the first line is not `ply`".into());
     }
@@ -71,7 +75,7 @@ pub(super) fn parse_header(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let mut elements: Vec<Element> = Vec::new();
     loop {
         let Some((line, behind)) = next_line(rest) else {
-            return Err("truncated, the header has no end_header".into());
+            return Err(NO_END.into());
         };
         rest = behind;
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
@@ -90,7 +94,9 @@ pub(super) fn parse_header(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
                 .last_mut()
                 .ok_or_else(|| format!("`{line}` stands before any element"))?
                 .properties
-                .push(parse_property(line, &words)?),
+                .push(parse_property(&line, &words)?),
+            // What is neither a keyword nor text is no more of the header.
+            _ if matches!(line, Cow::Owned(_)) => return Err(NO_END.into()),
             _ => return Err(format!("header line `{line}` is unknown")),
         }
     }
@@ -98,11 +104,13 @@ pub(super) fn parse_header(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     Ok((Header { encoding, elements }, rest))
 }
 
-/// The first line as text, without its end, and the bytes behind it; `None` if there is no line of text.
-fn next_line(bytes: &[u8]) -> Option<(&str, &[u8])> {
+/// The first line as text, without its end, and the bytes behind it; `None` if no line ends. Keywords are ASCII; what a comment
+/// says may be in any encoding.
+fn next_line(bytes: &[u8]) -> Option<(Cow<'_, str>, &[u8])> {
     let end = bytes.iter().position(|&byte| byte == b'\n')?;
-    let line = std::str::from_utf8(&bytes[..end]).ok()?;
-    Some((line.trim_end_matches('\r'), &bytes[end + 1..]))
+    let line = &bytes[..end];
+    let line = line.strip_suffix(b"\r").unwrap_or(line);
+    Some((String::from_utf8_lossy(line), &bytes[end + 1..]))
 }
 
 fn parse_encoding(name: &str) -> Result<Encoding, String> {

@@ -207,11 +207,21 @@ mod tests {
     }
 
     #[test]
+    fn a_comment_may_be_in_any_encoding() {
+        let (before, after) = QUAD.split_once("hand").unwrap();
+        // René in Latin-1.
+        let name = &b"Ren\xe9"[..];
+        let file = [before.as_bytes(), name, after.as_bytes()].concat();
+        assert_eq!(parse(&file), parse(QUAD.as_bytes()));
+    }
+
+    #[test]
     fn every_defect_is_named() {
         let fault = |bytes: &[u8]| parse(bytes).unwrap_err();
         assert!(fault(b"solid cube\n").contains("not a PLY"));
         assert!(fault(b"").contains("not a PLY"));
         assert!(fault(b"ply\nformat ascii 1.0\n").contains("end_header"));
+        assert!(fault(b"ply\nformat ascii 1.0\n\xff\x80\n").contains("end_header"));
         let edited = |from: &str, to: &str| fault(QUAD.replace(from, to).as_bytes());
         assert!(edited("4 0 1 2 3 7", "4 0 1 2 4 7").contains("names vertex 4"));
         assert!(edited("4 0 1 2 3 7", "4 0 1 2 -1 7").contains("names vertex -1"));
