@@ -2,9 +2,11 @@
 
 use super::plane::{Plane, dominant_plane};
 use super::refusal::Refusal;
+use super::samples::SATURATION;
 use super::sphere::{BallRadius, FoundSphere, find_sphere};
 use crate::fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome};
 use crate::geometry::{CameraModel, Pose, RayGrid};
+use crate::shading::without_ambient;
 use crate::snapshot::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelector, TrackedFrame};
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use nalgebra::Point3;
@@ -38,12 +40,32 @@ pub struct TargetImage {
     pub frame_id: u64,
     /// How many exposures were averaged.
     pub n_exposures: usize,
-    /// IR counts, response not removed.
+    /// IR counts of the sensor's light alone, response not removed.
     pub ir_counts: Image<f32>,
+    /// What they come from, where the room's light is in it.
+    pub ambient: Option<Ambient>,
     /// Depth from the same pose, metres, 0 is none.
     pub depth_m: Image<f32>,
     /// Where the target is, as far as depth tells.
     pub place: Place,
+}
+
+/// IR counts of one pose, response not removed.
+#[derive(Clone, Debug)]
+pub struct Ambient {
+    /// Under the sensor's light and the room's.
+    pub both: Image<f32>,
+    /// Under the room's alone.
+    pub unlit: Image<f32>,
+}
+
+impl TargetImage {
+    /// Takes the room's light off, which adds up with the sensor's before a response of that gamma.
+    pub fn take_ambient_off(&mut self, full_scale: f64, gamma: f64) {
+        if let Some(Ambient { both, unlit }) = &self.ambient {
+            self.ir_counts = without_ambient(both, unlit, SATURATION * full_scale, gamma);
+        }
+    }
 }
 
 /// Where a target lies in the camera frame.
@@ -162,9 +184,14 @@ impl Gatherer {
     }
 
     fn locate(&mut self, frame: &Frame) -> TrackingOutcome {
-        let Some(depth) = frame.depth.as_ref().filter(|depth| has_depth(depth)) else {
+        let Some(depth) = &frame.depth else {
             return TrackingOutcome::NoDepth;
         };
+        if !has_depth(depth) {
+            // Nobody knows how the camera moves meanwhile.
+            self.fusion.interrupt();
+            return TrackingOutcome::NoDepth;
+        }
         let (rays, noise) = (&self.rays, &self.noise);
         let is_wall = *self.is_wall.get_or_insert_with(|| {
             dominant_plane(depth, rays, noise).is_some_and(|plane| plane.share >= WALL_SHARE)
@@ -225,10 +252,16 @@ impl Gatherer {
                 (is_in_view && centre.z > sphere.radius_m).then_some(Place::Sphere(centre))?
             }
         };
+        let both = &snapshot.ir_counts;
+        let ambient = snapshot.unlit_counts.map(|unlit| Ambient {
+            both: both.clone(),
+            unlit,
+        });
         Some(TargetImage {
             frame_id: snapshot.frame_id,
             n_exposures: snapshot.n_exposures,
             ir_counts: snapshot.ir_counts,
+            ambient,
             depth_m: snapshot.depth_m,
             place,
         })

@@ -38,13 +38,13 @@ impl InverseSquare {
 pub const N_REGIONS: usize = 3;
 /// The farthest image must be this many times as far as the nearest.
 const MIN_RATIO: f64 = 1.4;
-/// A region needs this many images.
+/// The whole image, and a region by itself, needs this many images.
 const MIN_IMAGES: usize = 4;
 
 /// Measures the inverse square law on the wall of a session.
 ///
 /// # Errors
-/// If the session shows no wall, or only at one distance.
+/// If the session shows no wall, or in too few images, or only at one distance.
 pub fn inverse_square(
     scans: &[Scan],
     session: usize,
@@ -58,6 +58,11 @@ pub fn inverse_square(
         .filter_map(|sample| point(sample, state))
         .collect();
     let whole = by_image(&points, state.gamma, |_| true);
+    let product = slope(&whole).ok_or_else(|| Refusal::FewImages {
+        session: scan.name.clone(),
+        n_images: whole.len(),
+        required: MIN_IMAGES,
+    })?;
     let range_m = whole
         .iter()
         .fold([f64::MAX, 0.0f64], |[near, far], [log_d, _]| {
@@ -77,11 +82,6 @@ pub fn inverse_square(
             }))
         })
     });
-    let product = slope(&whole).ok_or_else(|| Refusal::OneDistance {
-        session: scan.name.clone(),
-        range_m,
-        ratio: MIN_RATIO,
-    })?;
     let curve = whole
         .iter()
         .map(|[log_d, value]| [log_d.exp(), (value / state.gamma).exp()])

@@ -65,22 +65,34 @@ pub struct Sensor<'a> {
 /// Rounds in which limbs, masks and interreflection are measured anew.
 const N_ROUNDS: usize = 5;
 
-/// Fits Eq. (1) to all scans at once.
+/// Fits Eq. (1) to all scans at once. From their images the room's light is taken off as gamma is found, and stays off.
 ///
 /// # Errors
 /// If the scans cannot be fitted by it: see [`Refusal`].
-pub fn estimate(scans: &[Scan], sensor: &Sensor, priors: &Priors) -> Result<Estimate, Refusal> {
+pub fn estimate(scans: &mut [Scan], sensor: &Sensor, priors: &Priors) -> Result<Estimate, Refusal> {
     refusal::check_brightness(scans, sensor.full_scale)?;
     let mut state = State::start(scans, sensor, priors)?;
     outline::place_by_outlines(scans, sensor, priors, &mut state)?;
     state.start_intensities(scans, sensor);
-    let mut problem = Problem::new(Samples::gather(scans, sensor, &state), priors, &state);
-    problem.minimise(&mut state);
+    let mut problem = round(scans, sensor, priors, &mut state);
     for _ in 1..N_ROUNDS {
-        problem = Problem::new(Samples::gather(scans, sensor, &state), priors, &state);
-        problem.minimise(&mut state);
+        problem = round(scans, sensor, priors, &mut state);
     }
     let estimate = problem.estimate(state);
     refusal::check_fits(scans, &estimate)?;
     Ok(estimate)
+}
+
+/// Measures everything anew as the state has it, and fits that.
+fn round<'a>(
+    scans: &mut [Scan],
+    sensor: &Sensor,
+    priors: &'a Priors,
+    state: &mut State,
+) -> Problem<'a> {
+    let images = scans.iter_mut().flat_map(|scan| &mut scan.images);
+    images.for_each(|image| image.take_ambient_off(sensor.full_scale, state.gamma));
+    let problem = Problem::new(Samples::gather(scans, sensor, state), priors, state);
+    problem.minimise(state);
+    problem
 }

@@ -112,6 +112,18 @@ pub enum Refusal {
         /// Largest share of outliers.
         max_outliers: f64,
     },
+    /// There are too few images for a line through them.
+    #[error(
+        "{session}: the wall is seen in {n_images} images, must be at least {required}, from near to far"
+    )]
+    FewImages {
+        /// The session.
+        session: String,
+        /// How many show enough of it.
+        n_images: usize,
+        /// What is needed.
+        required: usize,
+    },
     /// The wall does not come from near and far.
     #[error(
         "{session}: the wall is seen from {:.2} m to {:.2} m, the farthest must be at least {ratio} times as far as the nearest",

@@ -1,7 +1,7 @@
 //! The estimator on closed forms: a wall at several distances and a sphere without surroundings, of a sensor whose
 //! response, lens, lobe and light are known.
 
-use super::gather::Place;
+use super::gather::{Ambient, Place};
 use super::model::{Row, cap_row, intensity_row, limb_row, meet_sphere};
 use super::plane::Plane;
 use super::samples::{Cap, LimbPoint, Place as SamplePlace, Sample};
@@ -107,6 +107,7 @@ impl Truth {
             frame_id: seed,
             n_exposures: 1,
             ir_counts: Image::from_vec(width, height, counts),
+            ambient: None,
             depth_m: Image::from_vec(width, height, depths),
             place,
         }
@@ -175,8 +176,8 @@ fn priors() -> Priors {
 fn a_strange_sensor_is_found_from_sphere_and_wall() {
     let rays = rays();
     let sensor = sensor(&rays);
-    let scans = [TRUTH.sphere(&rays), TRUTH.wall(&rays)];
-    let found = estimate(&scans, &sensor, &priors()).expect("plain targets");
+    let mut scans = [TRUTH.sphere(&rays), TRUTH.wall(&rays)];
+    let found = estimate(&mut scans, &sensor, &priors()).expect("plain targets");
     let gamma = found.gamma();
     assert!((gamma.value - TRUTH.gamma).abs() < 0.004, "{gamma:?}");
     assert!(gamma.sigma < 0.004);
@@ -205,6 +206,38 @@ fn a_strange_sensor_is_found_from_sphere_and_wall() {
 }
 
 #[test]
+fn the_light_of_the_room_does_not_pass_for_another_response() {
+    const AMBIENT: f32 = 0.003;
+    let rays = rays();
+    let sensor = sensor(&rays);
+    let mut wall = TRUTH.wall(&rays);
+    let full_scale = FULL_SCALE as f32;
+    let observed = |linear: f32| linear.powf(TRUTH.gamma as f32) * full_scale;
+    for image in &mut wall.images {
+        let linear = |counts: &f32| (counts / full_scale).powf(1.0 / TRUTH.gamma as f32);
+        let both = image
+            .ir_counts
+            .map(|counts| observed(linear(counts) + AMBIENT));
+        let unlit = both.map(|_| observed(AMBIENT));
+        image.ir_counts = both.clone();
+        image.ambient = Some(Ambient { both, unlit });
+    }
+    let gamma = |wall: &Scan| {
+        let mut wall = [wall.clone()];
+        let found = estimate(&mut wall, &sensor, &priors()).expect("a plain wall");
+        found.gamma().value
+    };
+    let alone = gamma(&TRUTH.wall(&rays));
+    let taken_off = gamma(&wall);
+    wall.images
+        .iter_mut()
+        .for_each(|image| image.ambient = None);
+    let left_in = gamma(&wall);
+    assert!((taken_off - alone).abs() < 0.004, "{taken_off} for {alone}");
+    assert!(left_in < alone - 0.02, "{left_in} for {alone}");
+}
+
+#[test]
 fn a_textured_wall_is_refused_with_its_deviation() {
     let rays = rays();
     let mut wall = TRUTH.wall(&rays);
@@ -215,7 +248,7 @@ fn a_textured_wall_is_refused_with_its_deviation() {
             *counts *= 1.0 - 0.3 * stripe as f32;
         }
     }
-    let refusal = estimate(&[wall], &sensor(&rays), &priors()).expect_err("stripes");
+    let refusal = estimate(&mut [wall], &sensor(&rays), &priors()).expect_err("stripes");
     let Refusal::Textured {
         deviation, target, ..
     } = refusal
@@ -231,10 +264,29 @@ fn a_wall_at_one_distance_does_not_test_the_inverse_square_law() {
     let rays = rays();
     let mut wall = TRUTH.wall(&rays);
     wall.images.truncate(2);
+    wall.images.extend_from_within(..);
     let sensor = sensor(&rays);
-    let found = estimate(std::slice::from_ref(&wall), &sensor, &priors()).expect("a plain wall");
+    let found =
+        estimate(std::slice::from_mut(&mut wall), &sensor, &priors()).expect("a plain wall");
     let refusal = inverse_square(&[wall], 0, &sensor, &found).expect_err("0.5 m and 0.67 m");
     assert!(matches!(refusal, Refusal::OneDistance { .. }), "{refusal}");
+}
+
+#[test]
+fn a_wall_in_few_images_is_refused_with_their_number() {
+    let rays = rays();
+    let mut wall = TRUTH.wall(&rays);
+    wall.images.truncate(3);
+    let sensor = sensor(&rays);
+    let found =
+        estimate(std::slice::from_mut(&mut wall), &sensor, &priors()).expect("a plain wall");
+    let refusal = inverse_square(&[wall], 0, &sensor, &found).expect_err("three images");
+    let expected = Refusal::FewImages {
+        session: "wall".to_owned(),
+        n_images: 3,
+        required: 4,
+    };
+    assert_eq!(refusal, expected);
 }
 
 #[test]
@@ -247,7 +299,7 @@ fn a_sphere_cut_by_the_frame_is_refused() {
         let at = meet_sphere(ray, &centre, RADIUS_M)?;
         Some((at.point, at.normal))
     })];
-    let refusal = estimate(&[sphere], &sensor(&rays), &priors()).expect_err("a cut sphere");
+    let refusal = estimate(&mut [sphere], &sensor(&rays), &priors()).expect_err("a cut sphere");
     let Refusal::SphereCut { inside_share, .. } = refusal else {
         panic!("{refusal}");
     };
@@ -267,7 +319,7 @@ fn a_saturated_sphere_is_refused() {
             };
         }
     }
-    let refusal = estimate(&[sphere], &sensor(&rays), &priors()).expect_err("no grey pixel");
+    let refusal = estimate(&mut [sphere], &sensor(&rays), &priors()).expect_err("no grey pixel");
     let Refusal::Saturated { share, .. } = refusal else {
         panic!("{refusal}");
     };

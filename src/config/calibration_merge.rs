@@ -1,7 +1,7 @@
 //! Measurements into a device's file, key by key, and never over an older one unasked.
 
 use super::{CalibrationKey, ConfigError, DeviceCalibration};
-use crate::atomic_file::write_atomically;
+use crate::{atomic_file::write_atomically, shading::Calibration};
 use std::{
     fs::{self, OpenOptions},
     io::{self, Write},
@@ -19,7 +19,7 @@ pub struct MergeReport {
     pub added: Vec<CalibrationKey>,
     /// Keys that the file had.
     pub replaced: Vec<CalibrationKey>,
-    /// Where the file with the replaced values was kept.
+    /// Where the file as it was is kept, if a value in it was replaced or converted.
     pub kept: Option<PathBuf>,
 }
 
@@ -41,17 +41,19 @@ pub fn calibration_path(folder: &Path, serial: &str) -> Result<PathBuf, ConfigEr
 }
 
 /// Adds what was measured to a device's file, which is created with its folder if it is missing. Other keys of the file stay
-/// as they are, with their measurements.
+/// as they are, with their measurements; but a white level is converted to the intensity of a new gamma. Where the file says
+/// nothing `shipped` holds.
 ///
 /// A key that the file has is refused unless `replace` says otherwise; the old file is then kept beside it as
-/// `<serial>.<n>.toml`.
+/// `<serial>.<n>.toml`, and so it is where a value was converted.
 ///
 /// # Errors
-/// For the file of another device, for a key that is there already, and for files that cannot be read or written; nothing
-/// was changed then.
+/// For the file of another device, for a key that is there already, for a value that conversion takes beyond its bound, and for
+/// files that cannot be read or written; nothing was changed then.
 pub fn merge_into_file(
     path: &Path,
     new: &DeviceCalibration,
+    shipped: &Calibration,
     replace: bool,
 ) -> Result<MergeReport, ConfigError> {
     let in_file = |what: &dyn ToString| ConfigError::in_file(path, what.to_string());
@@ -67,11 +69,16 @@ pub fn merge_into_file(
         let refused = replaced.iter().map(|key| refusal(*key, &device, new));
         return Err(in_file(&refused.collect::<Vec<_>>().join("; ")));
     }
+    let converted = converted_white_level(&device, new, shipped);
     for key in new.keys() {
         device.take(key, new);
     }
+    if converted.is_some() {
+        device.light.white_level = converted;
+        device.validate().map_err(|what| in_file(&what))?;
+    }
     let text = toml::to_string(&device).map_err(|error| in_file(&error))?;
-    let kept = match replaced.is_empty() {
+    let kept = match replaced.is_empty() && converted.is_none() {
         true => None,
         false => Some(keep(path).map_err(|error| in_file(&error))?),
     };
@@ -105,6 +112,20 @@ fn check_same_device(
         ));
     }
     Ok(())
+}
+
+/// A device's white level in the intensity of a gamma that is measured after it; `None` where there is none to convert.
+fn converted_white_level(
+    device: &DeviceCalibration,
+    new: &DeviceCalibration,
+    shipped: &Calibration,
+) -> Option<f64> {
+    let gamma = new.gamma?;
+    if device.light.white_level.is_none() || new.light.white_level.is_some() {
+        return None;
+    }
+    let (in_force, _) = device.over(shipped.clone());
+    in_force.with_gamma(gamma).light.white_level
 }
 
 fn refusal(key: CalibrationKey, old: &DeviceCalibration, new: &DeviceCalibration) -> String {
@@ -147,7 +168,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{MeasuredSession, Measurement};
+    use crate::config::{MeasuredLight, MeasuredSession, Measurement};
     use depth_camera::Sensor;
     use std::{
         collections::BTreeMap,
@@ -156,6 +177,10 @@ mod tests {
 
     fn device() -> DeviceCalibration {
         DeviceCalibration::new("A1.2".to_owned(), Sensor::Kinect1)
+    }
+
+    fn shipped() -> Calibration {
+        Calibration::shipped(Sensor::Kinect1).unwrap()
     }
 
     fn measurement() -> Measurement {
@@ -180,12 +205,12 @@ mod tests {
     fn keys_are_added_and_others_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = calibration_path(&folder.path().join("new"), "A1.2").unwrap();
-        merge_into_file(&path, &with_gamma(0.8), false).unwrap();
+        merge_into_file(&path, &with_gamma(0.8), &shipped(), false).unwrap();
         let offset = DeviceCalibration {
             ir_offset_px: Some([5.0, 4.0]),
             ..device()
         };
-        let report = merge_into_file(&path, &offset, false).unwrap();
+        let report = merge_into_file(&path, &offset, &shipped(), false).unwrap();
         assert_eq!(report.added, [CalibrationKey::IrOffset]);
         assert_eq!((report.replaced, report.kept), (Vec::new(), None));
         let expected = DeviceCalibration {
@@ -199,9 +224,9 @@ mod tests {
     fn a_key_is_replaced_only_when_asked_and_the_old_file_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = calibration_path(folder.path(), "A1.2").unwrap();
-        merge_into_file(&path, &with_gamma(0.8), false).unwrap();
+        merge_into_file(&path, &with_gamma(0.8), &shipped(), false).unwrap();
         let first = fs::read(&path).unwrap();
-        let error = merge_into_file(&path, &with_gamma(0.9), false).unwrap_err();
+        let error = merge_into_file(&path, &with_gamma(0.9), &shipped(), false).unwrap_err();
         assert!(error.to_string().ends_with(
             "A1.2.toml: gamma is there already: 0.8, measured 2024-02-29T12:34:56Z; the new value is 0.9; say --replace to \
              put it in its place"
@@ -209,7 +234,7 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), first);
 
         for (gamma, number) in [(0.9, 1), (1.0, 2)] {
-            let report = merge_into_file(&path, &with_gamma(gamma), true).unwrap();
+            let report = merge_into_file(&path, &with_gamma(gamma), &shipped(), true).unwrap();
             let kept = folder.path().join(format!("A1.2.{number}.toml"));
             assert_eq!(report.kept, Some(kept.clone()));
             assert_eq!(report.replaced, [CalibrationKey::Gamma]);
@@ -219,15 +244,40 @@ mod tests {
     }
 
     #[test]
+    fn a_white_level_is_converted_to_a_gamma_that_is_measured_after_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = calibration_path(folder.path(), "A1.2").unwrap();
+        let white = DeviceCalibration {
+            light: MeasuredLight {
+                white_level: Some(0.25),
+                ..MeasuredLight::default()
+            },
+            ..device()
+        };
+        merge_into_file(&path, &white, &shipped(), false).unwrap();
+        let white_level = || DeviceCalibration::read(&path).unwrap().light.white_level;
+        let is_near = |level: f64| (white_level().unwrap() - level).abs() < 1e-12;
+        // The same counts: 0.25^0.8 = 0.0625^0.4.
+        let gamma = shipped().gamma;
+        let report = merge_into_file(&path, &with_gamma(0.5 * gamma), &shipped(), false).unwrap();
+        assert_eq!(report.added, [CalibrationKey::Gamma]);
+        assert_eq!(report.kept, Some(folder.path().join("A1.2.1.toml")));
+        assert!(is_near(0.0625));
+        // From now on the gamma in the file is in force.
+        merge_into_file(&path, &with_gamma(gamma), &shipped(), true).unwrap();
+        assert!(is_near(0.25));
+    }
+
+    #[test]
     fn the_file_of_another_device_is_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = calibration_path(folder.path(), "A1.2").unwrap();
-        merge_into_file(&path, &with_gamma(0.8), false).unwrap();
+        merge_into_file(&path, &with_gamma(0.8), &shipped(), false).unwrap();
         let other = DeviceCalibration::new("A1.2".to_owned(), Sensor::Kinect2);
-        let error = merge_into_file(&path, &other, true).unwrap_err();
+        let error = merge_into_file(&path, &other, &shipped(), true).unwrap_err();
         assert_eq!(error.what, "sensor is \"kinect1\", must be \"kinect2\"");
         let other = DeviceCalibration::new("B".to_owned(), Sensor::Kinect1);
-        let error = merge_into_file(&path, &other, true).unwrap_err();
+        let error = merge_into_file(&path, &other, &shipped(), true).unwrap_err();
         assert_eq!(error.what, "must be named B.toml");
         for serial in ["", "..", "a/b", "/a", "a/"] {
             assert!(calibration_path(folder.path(), serial).is_err(), "{serial}");
@@ -238,7 +288,7 @@ mod tests {
     fn values_beyond_their_bounds_are_not_written() {
         let folder = tempfile::tempdir().unwrap();
         let path = calibration_path(folder.path(), "A1.2").unwrap();
-        let error = merge_into_file(&path, &with_gamma(7.0), false).unwrap_err();
+        let error = merge_into_file(&path, &with_gamma(7.0), &shipped(), false).unwrap_err();
         assert_eq!(error.what, "gamma is 7, must be 0.2 to 3");
         assert!(!path.exists());
     }

@@ -66,7 +66,8 @@ mod tests {
         let mut device = DeviceCalibration::new("A7".to_owned(), Sensor::Kinect1);
         device.ir_offset_px = Some([4.2, 3.6]);
         let path = calibration_path(folder.path(), "A7").unwrap();
-        merge_into_file(&path, &device, false).unwrap();
+        let shipped = Calibration::shipped(Sensor::Kinect1).unwrap();
+        merge_into_file(&path, &device, &shipped, false).unwrap();
         let found = params_for_device("A7", &places, &params).unwrap();
         assert_eq!(found.kinect1.ir_offset_px, Some([4.2, 3.6]));
         assert_eq!(found.kinect1.lamp_position_m, Some([0.1, 0.0, 0.0]));

@@ -98,6 +98,19 @@ impl Calibration {
         }
     }
 
+    /// The same with another exponent of the response: white is as many counts as before, which are another intensity then.
+    pub fn with_gamma(&self, gamma: f64) -> Self {
+        let white_level = self.light.white_level;
+        Calibration {
+            gamma,
+            light: LightCalibration {
+                white_level: white_level.map(|level| level.powf(self.gamma / gamma)),
+                ..self.light
+            },
+            ..self.clone()
+        }
+    }
+
     /// Parses and checks a calibration.
     ///
     /// # Errors

@@ -47,6 +47,7 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
         let noise = DepthNoise::of_sensor(info.sensor);
         let mut fusion = Fusion::new(camera_model, noise, config.fusion.clone());
         while let Some(frame) = next_frame(camera.as_mut())? {
+            correction.thin_out(&fusion);
             let corrected = correction.correct(&frame).unwrap_or(frame);
             if let Some(depth_m) = &corrected.depth {
                 fusion.fuse(depth_m, corrected.device_time_secs);
@@ -66,7 +67,8 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
     let measurement = measurement(&measured, &args.session)?;
     let key = CalibrationKey::LightWhiteLevel;
     device.measured.insert(key, measurement);
-    let report = merge_into_file(&path, &device, args.file.replace)?;
+    let shipped = Calibration::shipped_for(&info).map_err(anyhow::Error::msg)?;
+    let report = merge_into_file(&path, &device, &shipped, args.file.replace)?;
     if let Some(kept) = &report.kept {
         println!("the file as it was: {}", kept.display());
     }

@@ -10,11 +10,11 @@ use relief::{
 use std::collections::BTreeMap;
 
 /// Everything that a command learnt.
-pub struct Findings<'a> {
+pub struct Findings {
     /// What it was for.
     pub aim: Aim,
     /// The sessions.
-    pub scans: &'a [Scan],
+    pub scans: Vec<Scan>,
     /// The fit to all of them.
     pub estimate: Estimate,
     /// The fit to the spheres only, where there are walls too.
@@ -37,7 +37,7 @@ pub struct Findings<'a> {
 const TELLING: f64 = 0.5;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-impl Findings<'_> {
+impl Findings {
     /// Whether the data tell where the light is, by axis.
     pub(super) fn axes_told(&self) -> [bool; 3] {
         let sigma_m = self.priors.light_sigma_m;

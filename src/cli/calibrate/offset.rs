@@ -13,6 +13,7 @@ use relief::{
     },
     fusion::TrackingOutcome,
     geometry::Pose,
+    shading::Calibration,
     snapshot::{SnapshotParams, SnapshotSelector, TrackedFrame},
 };
 use std::{collections::BTreeMap, path::Path, time::SystemTime};
@@ -22,7 +23,7 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(None, &Overrides::default())?;
     let mut camera = open(&args.session, &config)?;
     let info = camera.info().clone();
-    let serial = args.file.serial.clone().unwrap_or(info.serial);
+    let serial = args.file.serial.clone().unwrap_or(info.serial.clone());
     let path = calibration_path(
         &calibration_folder(args.file.calibration_dir.as_deref(), None),
         &serial,
@@ -45,7 +46,8 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
     measured
         .measured
         .insert(CalibrationKey::IrOffset, measurement);
-    let report = merge_into_file(&path, &measured, args.file.replace)?;
+    let shipped = Calibration::shipped_for(&info).map_err(anyhow::Error::msg)?;
+    let report = merge_into_file(&path, &measured, &shipped, args.file.replace)?;
     if let Some(kept) = &report.kept {
         println!("the file as it was: {}", kept.display());
     }

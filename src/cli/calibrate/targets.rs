@@ -21,7 +21,7 @@ use relief::{
     },
     fusion::FusionParams,
     geometry::{CameraModel, RayGrid},
-    shading::FlatField,
+    shading::{Calibration, FlatField},
 };
 use std::{
     collections::BTreeMap,
@@ -62,57 +62,56 @@ impl Aim {
 /// How well the power of a lobe is believed beforehand: emitters lie between even and cos³.
 const LOBE_SIGMA: f64 = 1.5;
 
-/// The sessions of one device.
-struct Sessions {
+/// The device that all sessions are of.
+struct Device {
     info: CameraInfo,
     serial: String,
     /// The calibration that it has so far.
     found: FoundCalibration,
-    scans: Vec<Scan>,
 }
 
 /// Runs a command.
 pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
-    let sessions = gather(args, &folder)?;
-    let path = calibration_path(&folder, &sessions.serial)?;
-    let found = &sessions.found;
-    require_targets(aim, &sessions.scans)?;
+    let (device, scans) = gather(args, &folder)?;
+    let path = calibration_path(&folder, &device.serial)?;
+    let found = &device.found;
+    require_targets(aim, &scans)?;
 
-    let rays = RayGrid::new(CameraModel::new(sessions.info.intrinsics));
+    let rays = RayGrid::new(CameraModel::new(device.info.intrinsics));
     let sensor = Sensor {
-        kind: sessions.info.sensor,
+        kind: device.info.sensor,
         rays: &rays,
-        full_scale: sessions
+        full_scale: device
             .info
             .ir_full_scale
             .context("the session has no infrared images")?,
         noise: found.calibration.noise,
     };
-    let priors = priors(aim, args, &sessions.info, found)?;
-    let findings = investigate(aim, &sessions.scans, &sensor, priors, found)?;
+    let priors = priors(aim, args, &device.info, found)?;
+    let findings = investigate(aim, scans, &sensor, priors, found)?;
     print(&findings, args.json)?;
 
     let page = args
         .page
         .clone()
-        .unwrap_or_else(|| folder.join(format!("{}.{}.html", sessions.serial, aim.name())));
+        .unwrap_or_else(|| folder.join(format!("{}.{}.html", device.serial, aim.name())));
     if !args.file.dry_run {
-        let report = write(&path, &findings, &sessions, args)?;
+        let report = write(&path, &findings, &device, args)?;
         if let Some(kept) = &report.kept {
             tracing::info!(kept = %kept.display(), "the file as it was is kept");
         }
         tracing::info!(path = %path.display(), "calibration written");
     }
     if !args.file.dry_run || args.page.is_some() {
-        write_page(&page, &findings, &sessions.serial, &sensor)?;
+        write_page(&page, &findings, &device.serial, &sensor)?;
         tracing::info!(page = %page.display(), "page written");
     }
     Ok(Verdict::Done)
 }
 
 /// Replays every session; all must be of one device.
-fn gather(args: &TargetArgs, folder: &Path) -> anyhow::Result<Sessions> {
+fn gather(args: &TargetArgs, folder: &Path) -> anyhow::Result<(Device, Vec<Scan>)> {
     let config = Config::layered(None, &Overrides::default())?;
     let first = args.sessions.first().context("no session is given")?;
     let info = open(first, &config)?.info().clone();
@@ -135,12 +134,12 @@ fn gather(args: &TargetArgs, folder: &Path) -> anyhow::Result<Sessions> {
         tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
         scans.push(scan);
     }
-    Ok(Sessions {
+    let device = Device {
         info,
         serial,
         found,
-        scans,
-    })
+    };
+    Ok((device, scans))
 }
 
 fn check_same_device(
@@ -222,15 +221,15 @@ fn priors(
 }
 
 /// Fits everything, then looks at what the command is for.
-fn investigate<'a>(
+fn investigate(
     aim: Aim,
-    scans: &'a [Scan],
+    mut scans: Vec<Scan>,
     sensor: &Sensor,
     priors: Priors,
     found: &FoundCalibration,
-) -> Result<Findings<'a>, Refusal> {
-    let whole = estimate(scans, sensor, &priors)?;
-    let spheres: Vec<Scan> = scans
+) -> Result<Findings, Refusal> {
+    let whole = estimate(&mut scans, sensor, &priors)?;
+    let mut spheres: Vec<Scan> = scans
         .iter()
         .filter(|scan| scan.target != Target::Wall)
         .cloned()
@@ -240,19 +239,19 @@ fn investigate<'a>(
     let spheres_alone: Option<Estimate> = match spheres.len() {
         0 => None,
         n if n == scans.len() => None,
-        _ => Some(estimate(&spheres, sensor, &fitted_priors(&whole))?),
+        _ => Some(estimate(&mut spheres, sensor, &fitted_priors(&whole))?),
     };
     let mut responses = Vec::new();
     let mut distances: Vec<(usize, InverseSquare)> = Vec::new();
     for (index, scan) in scans.iter().enumerate() {
         match scan.target {
-            Target::Wall => match inverse_square(scans, index, sensor, &whole) {
+            Target::Wall => match inverse_square(&scans, index, sensor, &whole) {
                 Ok(law) => distances.push((index, law)),
                 Err(refusal) if aim == Aim::FlatField => return Err(refusal),
                 Err(refusal) => tracing::warn!(%refusal, "inverse square law not checked"),
             },
             Target::Sphere(_) => {
-                responses.push((index, response_check(scans, index, sensor, &whole)?));
+                responses.push((index, response_check(&scans, index, sensor, &whole)?));
             }
         }
     }
@@ -288,7 +287,7 @@ fn fitted_priors(fitted: &Estimate) -> Priors {
 fn write(
     path: &Path,
     findings: &Findings,
-    sessions: &Sessions,
+    of: &Device,
     args: &TargetArgs,
 ) -> anyhow::Result<config::MergeReport> {
     let measured_sessions = args
@@ -296,7 +295,7 @@ fn write(
         .iter()
         .map(|session| measured_session(session))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let mut device = DeviceCalibration::new(sessions.serial.clone(), sessions.info.sensor);
+    let mut device = DeviceCalibration::new(of.serial.clone(), of.info.sensor);
     let state = &findings.estimate.state;
     let mut keys = Vec::new();
     match findings.aim {
@@ -325,5 +324,6 @@ fn write(
         let measurement = Measurement::new(time, measured_sessions.clone(), figures);
         device.measured.insert(key, measurement);
     }
-    Ok(merge_into_file(path, &device, args.file.replace)?)
+    let shipped = Calibration::shipped_for(&of.info).map_err(anyhow::Error::msg)?;
+    Ok(merge_into_file(path, &device, &shipped, args.file.replace)?)
 }
