@@ -380,6 +380,7 @@ fn self_calibration(params: &PipelineParams, info: &CameraInfo) -> Option<SelfCa
     (has_multipath && params.refine.self_calibration.enabled).then(|| SelfCalibration {
         info: info.clone(),
         calibration: params.calibration.clone(),
+        roi: params.roi,
         crop: params.object.crop,
         refine: params.refine.clone(),
     })

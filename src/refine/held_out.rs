@@ -4,10 +4,12 @@
 //! pixel by pixel ([`render`]), and both are compared with what was observed: in intensity, which shows slow shape and
 //! albedo, and in its gradient, which shows detail. Compared are the pixels that both surfaces cover.
 
+use super::albedo::Albedo;
 use super::rendering::render;
 use super::rounds::{Rounds, State, UnseenSurface};
 use super::sites::ViewSet;
 use super::view::View;
+use crate::geometry::TriMesh;
 use depth_camera::Image;
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -52,9 +54,8 @@ pub struct Judgement {
 impl Judgement {
     /// Puts together what single views say.
     pub fn of(judged: &[JudgedView]) -> Self {
-        let total = judged
-            .iter()
-            .fold(Sums::default(), |total, view| total.plus(&view.sums));
+        let sums = judged.iter().map(|view| &view.sums);
+        let total = sums.fold(Sums::default(), Sums::plus);
         Judgement {
             views: judged
                 .iter()
@@ -96,9 +97,11 @@ impl JudgedView {
     }
 }
 
-/// The views to hold out of so many: a quarter, spread over the scan; none of a single one.
-pub fn views_to_hold_out(n_views: usize) -> ViewSet {
-    every(1, EVERY, n_views)
+/// The views to hold out of a set: a quarter, spread over the scan; none of a single one.
+pub fn hold_out(set: ViewSet) -> ViewSet {
+    let views = (0..ViewSet::BITS).filter(|view| set >> view & 1 == 1);
+    let held_out = views.skip(1).step_by(EVERY);
+    held_out.fold(0, |held_out, view| held_out | 1 << view)
 }
 
 /// Every so many-th view from the first.
@@ -139,6 +142,27 @@ pub fn judge(
             }
         })
         .collect()
+}
+
+/// Root mean square of the gains, less 1, by which a set of views differs slowly in brightness from a mesh with its albedo.
+pub fn slow_gain(
+    rounds: &Rounds,
+    mesh: &TriMesh,
+    albedo: &Albedo,
+    views: &[View],
+    judges: ViewSet,
+) -> f64 {
+    let surface = rounds.unseen(mesh, albedo);
+    let judging = views.par_iter().with_max_len(1).enumerate();
+    let judging = judging.filter(|(view, _)| judges >> view & 1 == 1);
+    let sums = judging.map(|(_, view)| {
+        let mut view = view.clone();
+        let rendered = settle_and_render(rounds, &surface, &mut view);
+        Sums::over(&view, &rendered, &rendered)
+    });
+    let sums: Vec<Sums> = sums.collect();
+    let total = sums.iter().fold(Sums::default(), Sums::plus);
+    total.means().slow_gain
 }
 
 fn settle_and_render(rounds: &Rounds, surface: &UnseenSurface, view: &mut View) -> Image<f32> {
@@ -255,11 +279,13 @@ mod tests {
 
     #[test]
     fn a_quarter_is_held_out_and_never_the_only_view() {
-        assert_eq!(views_to_hold_out(1), 0);
-        assert_eq!(views_to_hold_out(2), 0b10);
-        assert_eq!(views_to_hold_out(8), 0b10_0010);
+        let of_first = |n_views| hold_out(every(0, 1, n_views));
+        assert_eq!(of_first(1), 0);
+        assert_eq!(of_first(2), 0b10);
+        assert_eq!(of_first(8), 0b10_0010);
+        assert_eq!(hold_out(0b1110_1110), 0b1000_0100);
         for n_views in 2..=64 {
-            let share = f64::from(views_to_hold_out(n_views).count_ones()) / n_views as f64;
+            let share = f64::from(of_first(n_views).count_ones()) / n_views as f64;
             assert!((0.2..=0.5).contains(&share), "{share} of {n_views}");
         }
     }

@@ -42,23 +42,34 @@ const COARSEST_EDGE_M: f64 = 0.003;
 /// # Errors
 /// Where nothing is left of the surface.
 pub fn levels(object: &TriMesh, params: &RefineParams) -> Result<Vec<Level>, RefineError> {
-    let mut edge_length_m = params.edge_length_m;
-    let mut n_finer = 0;
-    while 2.0 * edge_length_m <= COARSEST_EDGE_M && n_finer + 1 < params.n_rounds {
-        edge_length_m *= 2.0;
-        n_finer += 1;
-    }
-    let mesh = remesh(object, &RemeshParams::new(edge_length_m));
-    if mesh.faces.is_empty() {
-        return Err(RefineError::NoSurface);
-    }
-    let mut levels = vec![Level::new(mesh, edge_length_m, None, params)];
+    let mut levels = vec![coarsest(object, params)?];
     let surface = TriangleBvh::new(object);
-    for coarser in 0..n_finer {
+    for coarser in 0..n_finer(params) {
         let level = levels[coarser].finer(&surface, params);
         levels.push(level);
     }
     Ok(levels)
+}
+
+/// The coarsest of the levels of an object.
+///
+/// # Errors
+/// Where nothing is left of the surface.
+pub fn coarsest(object: &TriMesh, params: &RefineParams) -> Result<Level, RefineError> {
+    let edge_length_m = params.edge_length_m * f64::from(1 << n_finer(params));
+    let mesh = remesh(object, &RemeshParams::new(edge_length_m));
+    match mesh.faces.is_empty() {
+        true => Err(RefineError::NoSurface),
+        false => Ok(Level::new(mesh, edge_length_m, None, params)),
+    }
+}
+
+/// How often the edges of the coarsest level are halved.
+fn n_finer(params: &RefineParams) -> usize {
+    let coarser = |n: &usize| params.edge_length_m * f64::from(1 << (n + 1)) <= COARSEST_EDGE_M;
+    (0..params.n_rounds.saturating_sub(1))
+        .take_while(coarser)
+        .count()
 }
 
 impl Level {

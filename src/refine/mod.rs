@@ -10,6 +10,7 @@
 
 mod albedo;
 mod alignment;
+mod calibration_trial;
 mod cholesky;
 mod clusters;
 #[cfg(test)]
@@ -63,6 +64,7 @@ mod view;
 
 pub use albedo::{AlbedoMode, AlbedoParams, Material};
 pub use alignment::AlignmentParams;
+pub use calibration_trial::contradiction_as_tracked;
 pub use crop::{Crop, ObjectParams};
 pub use energy::{GroupTerms, NormalMatrix};
 pub use error::RefineError;
@@ -73,7 +75,7 @@ pub use object::{Plane, Roi, select_object, select_roi};
 pub use optics::Optics;
 pub use params::RefineParams;
 pub use pattern::Step;
-pub use preparation::{Subject, contradiction_as_tracked};
+pub use preparation::Subject;
 pub use self_calibration::{Contradiction, SelfCalibrationParams};
 pub use single_view::surface_of_view;
 pub use site_motion::Linearisation;
@@ -84,7 +86,7 @@ pub use view::{HIDING_CELL_M, ImageTrust};
 use crate::geometry::TriMesh;
 use depth_camera::Image;
 use error::MAX_BELIEVABLE_RMSE;
-use held_out::{every, views_to_hold_out};
+use held_out::{every, hold_out};
 use nalgebra::Point3;
 use preparation::{Preparation, first_views};
 use rounds::State;
@@ -160,10 +162,10 @@ pub fn refine(
     params: &RefineParams,
     mut progress: impl FnMut(&Iteration) -> bool,
 ) -> Result<Refinement, RefineError> {
-    let prepared = Preparation::new(subject, params)?;
-    let n_views = subject.snapshots.len();
-    let (all, held_out) = (first_views(n_views), views_to_hold_out(n_views));
+    let all = first_views(subject.snapshots.len());
+    let held_out = hold_out(all);
     let learning = all & !held_out;
+    let prepared = Preparation::new(subject, params, learning)?;
     let (base, errors_before) = prepared.base(subject, learning)?;
     let mut state = base.clone();
     let mut iterations = Vec::new();
@@ -231,12 +233,12 @@ pub fn cross_validate(
     mut done: impl FnMut(usize) -> bool,
 ) -> Result<Vec<JudgedView>, RefineError> {
     assert!(n_folds > 1, "{n_folds} folds, must be at least 2");
-    let prepared = Preparation::new(subject, params)?;
     let n_views = subject.snapshots.len();
     let mut judged = Vec::with_capacity(n_views);
     for fold in 0..n_folds.min(n_views) {
         let judges = every(fold, n_folds, n_views);
-        judged.extend(prepared.validate(subject, first_views(n_views) & !judges, judges)?);
+        let learning = first_views(n_views) & !judges;
+        judged.extend(judged_by(subject, params, learning, judges)?);
         if !done(fold) {
             break;
         }
@@ -256,7 +258,17 @@ pub fn validate(
     judges: &[usize],
 ) -> Result<Vec<JudgedView>, RefineError> {
     let set = |views: &[usize]| views.iter().fold(0, |set, view| set | 1 << view);
-    Preparation::new(subject, params)?.validate(subject, set(learning), set(judges))
+    judged_by(subject, params, set(learning), set(judges))
+}
+
+/// Those that judge tell nothing, not even of the calibration.
+fn judged_by(
+    subject: &Subject,
+    params: &RefineParams,
+    learning: ViewSet,
+    judges: ViewSet,
+) -> Result<Vec<JudgedView>, RefineError> {
+    Preparation::new(subject, params, learning)?.validate(subject, learning, judges)
 }
 
 /// How every view fits the base surface at its tracked pose, and the refined one.

@@ -7,6 +7,7 @@ use super::self_calibration::SelfCalibrationParams;
 use super::site_motion::Linearisation;
 use super::sites::SiteKind;
 use super::view::ImageTrust;
+use crate::geometry::TriMesh;
 use serde::{Deserialize, Serialize};
 
 /// What refinement needs to know.
@@ -156,10 +157,13 @@ impl RefineParams {
 }
 
 impl RefineParams {
-    /// Edge length for an object of this area, metres: as configured, or longer where that would make too many vertices.
-    pub fn edge_length_for(&self, area_m2: f64) -> f64 {
+    /// The same with the edge length for an object: as configured, or longer where that would make too many vertices.
+    pub fn for_object(&self, object: &TriMesh) -> RefineParams {
         // A vertex of an equilateral mesh has the area √3/2 h².
-        self.edge_length_m
-            .max((area_m2 / (0.866 * self.max_vertices as f64)).sqrt())
+        let shortest_m = (object.area_m2() / (0.866 * self.max_vertices as f64)).sqrt();
+        RefineParams {
+            edge_length_m: self.edge_length_m.max(shortest_m),
+            ..self.clone()
+        }
     }
 }

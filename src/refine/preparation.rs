@@ -2,6 +2,7 @@
 
 use super::MAX_VIEWS;
 use super::albedo::{Albedo, labels_by_face};
+use super::calibration_trial::CalibrationTrial;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
 use super::held_out::{JudgedView, judge};
 use super::level::{Level, levels};
@@ -9,7 +10,7 @@ use super::observations::Observations;
 use super::optics::Optics;
 use super::params::RefineParams;
 use super::rounds::{Rounds, State, centre_of, radius_about};
-use super::self_calibration::{Contradiction, Told, Tolerance, gloss_of_materials, told_by_images};
+use super::self_calibration::{Told, Tolerance, gloss_of_materials};
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
@@ -55,16 +56,17 @@ pub struct Preparation {
 }
 
 impl Preparation {
-    /// Prepares a refinement.
+    /// Prepares a refinement from a set of views: what they say of calibration and gloss holds for all.
     ///
     /// # Errors
     /// For too many views, for what is no surface, and if memory does not suffice.
-    pub fn new(subject: &Subject, params: &RefineParams) -> Result<Self, RefineError> {
+    pub fn new(
+        subject: &Subject,
+        params: &RefineParams,
+        learning: ViewSet,
+    ) -> Result<Self, RefineError> {
         let Subject {
-            object,
-            snapshots,
-            optics,
-            ..
+            object, snapshots, ..
         } = *subject;
         if snapshots.len() > MAX_VIEWS {
             return Err(RefineError::TooManyViews {
@@ -72,13 +74,10 @@ impl Preparation {
             });
         }
         check_manifold(object)?;
-        let params = RefineParams {
-            edge_length_m: params.edge_length_for(object.area_m2()),
-            ..params.clone()
-        };
+        let params = params.for_object(object);
         let centre = centre_of(object);
         // Meshing keeps one thread busy.
-        let (levels, mut views) =
+        let (levels, views) =
             rayon::join(|| levels(object, &params), || views_of(subject, &params));
         let levels = levels?;
         let mut fine = levels
@@ -86,17 +85,14 @@ impl Preparation {
             .map(|level| level.edge_length_m <= ASKED_EDGE_M);
         let asked = fine.position(|is_fine| is_fine);
         let asked = asked.unwrap_or(levels.len() - 1);
-        let mesh = &levels[asked].mesh;
-        let told = ask(mesh, &views, optics, &params, Tolerance::FINISHED);
-        if let Some(Contradiction { calibration, .. }) = &told.contradiction {
-            // Both sets of views are large.
-            views.clear();
-            let relit = Subject {
-                optics: &optics.with(calibration),
-                ..*subject
-            };
-            views = views_of(&relit, &params);
-        }
+        let trial = CalibrationTrial {
+            subject,
+            params: &params,
+            asked: learning,
+            tolerance: Tolerance::FINISHED,
+        };
+        let told = trial.ask(&levels[asked].mesh, &views);
+        let (told, views) = trial.judge(told, &levels[0], views);
         let mesh = &levels[0].mesh;
         let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()))
             .with_gloss(SiteGloss::uniform(told.gloss));
@@ -149,11 +145,7 @@ impl Preparation {
     ) -> Result<(State, Vec<ViewError>), RefineError> {
         let (mesh, views, sites) = (&self.levels[0].mesh, &self.views, &self.base_sites);
         let learnt = sites.only(learning);
-        let surface = Surface {
-            directions: mesh.vertex_normals(),
-            total_m: vec![0.0; mesh.vertices.len()],
-            mesh: mesh.clone(),
-        };
+        let surface = Surface::of_base(mesh);
         let albedo = self.rounds(0).first_albedo(&surface, &learnt, views);
         let mut albedo = albedo.ok_or_else(|| self.why_nothing_is_visible(subject))?;
         let errors = sites.view_errors(views, &albedo.by_site);
@@ -316,7 +308,7 @@ impl Preparation {
 }
 
 /// All shading images made ready.
-fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
+pub fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
     let Subject {
         scene,
         object,
@@ -343,29 +335,6 @@ fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
         views.iter_mut().for_each(|view| view.white = white);
     }
     views
-}
-
-/// What the views of a surface say of the calibration that they were made with, and of gloss.
-fn ask(
-    mesh: &TriMesh,
-    views: &[View],
-    optics: &Optics,
-    params: &RefineParams,
-    tolerance: Tolerance,
-) -> Told {
-    let params = &params.self_calibration;
-    if !params.enabled {
-        return Told::default();
-    }
-    let sites = Sites::new(SiteKind::Face, mesh, views, first_views(views.len()));
-    told_by_images(&sites, views, optics, params, tolerance)
-}
-
-/// What the images of a scan say against its calibration before its depth is corrected for good.
-pub fn contradiction_as_tracked(subject: &Subject, params: &RefineParams) -> Option<Contradiction> {
-    let (object, optics) = (subject.object, subject.optics);
-    let views = views_of(subject, params);
-    ask(object, &views, optics, params, Tolerance::AS_TRACKED).contradiction
 }
 
 /// The median of what is plausible for each view: a scan has one light.

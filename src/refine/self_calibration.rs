@@ -19,7 +19,7 @@ use super::optics::Optics;
 use super::sites::Sites;
 use super::view::View;
 use crate::shading::{Calibration, Gloss};
-use fit::{Unknowns, fit, loss, residual_scale};
+use fit::{Fit, Unknowns, fit, loss, residual_scale};
 use lit_patch::LitPatch;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -85,7 +85,9 @@ impl Tolerance {
 /// Less gloss is none: recorded scans of matte surfaces show 0.01 at most.
 const MIN_GLOSS: f64 = 0.05;
 
-/// And by at least so many standard deviations.
+/// A calibration is contradicted by at least so many standard deviations, with what the model gets wrong of all patches alike.
+const MIN_SIGMAS_WITH_MODEL: f64 = 2.0;
+/// Gloss is there by at least so many standard deviations of patches that err on their own.
 const MIN_SIGMAS: f64 = 3.0;
 
 /// Patches that disagree with Eq. (1) by more than so many standard deviations tell nothing of it: 1.0 on the recorded
@@ -140,20 +142,20 @@ pub fn told_by_images(
         return Told::default();
     }
     let start = start(optics, views.len(), &[Gloss::default()]);
-    let Some(Fitted {
-        found,
-        sigmas,
-        misfit,
-    }) = Fitted::new(&mut patches, &start, params)
-    else {
+    let Some(Fitted { fit, misfit }) = Fitted::new(&mut patches, &start, params) else {
         return Told::default();
     };
+    let Fit {
+        found,
+        sigmas_with_model: sigmas,
+        ..
+    } = &fit;
     let gloss = found.gloss[0];
     let gamma_change = (found.inv_gamma / start.inv_gamma).ln();
     let moved = found.light.position - start.light.position;
     let lobe_change = found.light.lobe_power - start.light.lobe_power;
     let exceeds = |change: f64, tolerance: f64, sigma: f64| {
-        change.abs() > tolerance && change.abs() > MIN_SIGMAS * sigma
+        change.abs() > tolerance && change.abs() > MIN_SIGMAS_WITH_MODEL * sigma
     };
     let light_sigma_m = sigmas[1].max(sigmas[2]);
     let is_explained = misfit < MAX_MISFIT;
@@ -201,7 +203,7 @@ pub fn gloss_of_materials(
         return None;
     }
     let start = start(optics, views.len(), &vec![shared; n_materials]);
-    let gloss = Fitted::new(&mut patches, &start, params)?.found.gloss;
+    let gloss = Fitted::new(&mut patches, &start, params)?.fit.found.gloss;
     tracing::info!(
         strength = ?gloss.iter().map(|gloss| gloss.strength).collect::<Vec<f64>>(),
         power = ?gloss.iter().map(|gloss| gloss.power).collect::<Vec<f64>>(),
@@ -223,9 +225,7 @@ fn start(optics: &Optics, n_views: usize, gloss: &[Gloss]) -> Unknowns {
 
 /// What fits the patches. Gloss is that of those materials alone that show it; the others are matte.
 struct Fitted {
-    found: Unknowns,
-    /// Standard deviations.
-    sigmas: Vec<f64>,
+    fit: Fit,
     /// How much patches disagree, in standard deviations.
     misfit: f64,
 }
@@ -260,7 +260,7 @@ impl Fitted {
             fitted = Self::with(patches, &start, params, &gloss_sigmas);
         }
         let mut fitted = fitted?;
-        make_matte(&mut fitted.found.gloss, &is_glossy);
+        make_matte(&mut fitted.fit.found.gloss, &is_glossy);
         Some(fitted)
     }
 
@@ -271,11 +271,10 @@ impl Fitted {
         params: &SelfCalibrationParams,
         gloss_sigmas: &[f64],
     ) -> Option<Fitted> {
-        let (found, sigmas) = fit(patches, start, params, gloss_sigmas)?;
+        let fit = fit(patches, start, params, gloss_sigmas)?;
         Some(Fitted {
-            misfit: residual_scale(patches, &found),
-            found,
-            sigmas,
+            misfit: residual_scale(patches, &fit.found),
+            fit,
         })
     }
 
@@ -293,7 +292,7 @@ impl Fitted {
             let mut start = start.clone();
             start.gloss.iter_mut().for_each(|gloss| gloss.power = power);
             let fitted = Self::with(patches, &start, params, &sigmas)?;
-            Some((loss(patches, &fitted.found), start, fitted))
+            Some((loss(patches, &fitted.fit.found), start, fitted))
         });
         match fits.min_by(|(a, ..), (b, ..)| a.total_cmp(b)) {
             Some((_, start, fitted)) => (start, Some(fitted)),
@@ -303,8 +302,8 @@ impl Fitted {
 
     /// Whether a material is glossy: for sure, or one of many that are, unless it shows that it is not.
     fn shows_gloss(&self, material: usize, start: &Unknowns) -> bool {
-        let strength = self.found.gloss[material].strength;
-        let sigma = self.sigmas[Unknowns::at_gloss(material)];
+        let strength = self.fit.found.gloss[material].strength;
+        let sigma = self.fit.sigmas[Unknowns::at_gloss(material)];
         let is_sure = strength > MIN_SIGMAS * sigma;
         self.misfit < MAX_MISFIT
             && strength > MIN_GLOSS

@@ -42,8 +42,8 @@ impl Stages {
         params: &RefineParams,
         n_rounds: usize,
     ) -> Result<Stages, RefineError> {
-        let prepared = Preparation::new(subject, params)?;
         let learning = first_views(subject.snapshots.len());
+        let prepared = Preparation::new(subject, params, learning)?;
         let (mut state, _) = prepared.base(subject, learning)?;
         prepared.run(0..n_rounds, learning, &mut state, &mut |_| true);
         state.surface.directions = state.surface.mesh.vertex_normals();

@@ -17,6 +17,15 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// A base mesh, not displaced.
+    pub fn of_base(mesh: &TriMesh) -> Surface {
+        Surface {
+            directions: mesh.vertex_normals(),
+            total_m: vec![0.0; mesh.vertices.len()],
+            mesh: mesh.clone(),
+        }
+    }
+
     /// Displacement of a site from the base mesh so far, metres.
     #[inline]
     pub fn displacement_m(&self, kind: SiteKind, site: usize) -> f64 {

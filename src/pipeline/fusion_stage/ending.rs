@@ -121,10 +121,13 @@ impl FusionStage {
     }
 
     /// Lets depth be corrected by what the images say of response and light, where that is not what the calibration says.
-    fn recalibrate(&mut self, snapshots: Option<&SnapshotSelection>) {
+    pub(super) fn recalibrate(&mut self, snapshots: Option<&SnapshotSelection>) {
         let (Some(asked), Some(selection)) = (&self.self_calibration, snapshots) else {
             return;
         };
+        if self.stop.is_stopped() || selection.accepted.is_empty() {
+            return;
+        }
         let poses: Vec<Pose> = self.trajectory.iter().map(|(_, pose)| *pose).collect();
         let (fusion, correction) = (&self.fusion, &mut self.correction);
         self.revision_clock.time(|| {

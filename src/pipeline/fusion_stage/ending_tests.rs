@@ -10,7 +10,9 @@ use crate::{
         status::{Phase, Status},
         threads::pool,
     },
+    refine::RefineParams,
     shading::Calibration,
+    snapshot::ShadingSnapshot,
 };
 use crossbeam::channel::TryRecvError;
 use depth_camera::DepthCamera;
@@ -118,6 +120,39 @@ fn run_with(n_frames: u64, commands: &[Command], stop: &StopToken) -> (Status, V
         _ => None,
     });
     (status.get(), told.collect())
+}
+
+#[test]
+fn images_are_asked_for_the_calibration_where_there_are_some_and_the_scan_is_not_stopped() {
+    let info = SimulatedCamera::kinect2_plaque(1, 0).info().clone();
+    let self_calibration = SelfCalibration {
+        info: info.clone(),
+        calibration: Calibration::shipped_for(&info).unwrap(),
+        roi: None,
+        crop: Crop::None,
+        refine: RefineParams::default(),
+    };
+    let (surfaces, _) = edges::surfaces();
+    let setup = FusionSetup {
+        self_calibration: Some(self_calibration),
+        ..setup(info, FusionParams::default(), surfaces)
+    };
+    let (tracked, _) = edges::tracked(&EventLog::default());
+    let mut stage = FusionStage::new(setup, tracked);
+    let mut selection = SnapshotSelection::default();
+    stage.recalibrate(Some(&selection));
+    selection.accepted.push(ShadingSnapshot {
+        frame_id: 0,
+        device_time_secs: 0.0,
+        n_exposures: 1,
+        ir_counts: Image::filled(1, 1, 0.0),
+        unlit_counts: None,
+        depth_m: Image::filled(1, 1, 0.0),
+        world_from_camera: Pose::identity(),
+    });
+    stage.stop.stop();
+    stage.recalibrate(Some(&selection));
+    assert_eq!(stage.revision_clock.timing(), None);
 }
 
 proptest! {

@@ -105,17 +105,30 @@ impl FusedScan {
     /// # Errors
     /// Says for the operator why nothing is left.
     pub fn object(&self, roi: Option<&Roi>, crop: Crop) -> Result<TriMesh, String> {
-        if let Some(roi) = roi {
-            let object = select_roi(&self.base, roi);
-            return match object.faces.is_empty() {
-                true => Err("no surface lies in the box given by --roi".to_owned()),
-                false => Ok(object),
-            };
+        match (roi, crop, &self.delivered) {
+            (None, Crop::Auto, Some(part)) => Ok(part.clone()),
+            _ => choose_object(&self.base, &self.world_from_cameras, roi, crop),
         }
-        match (crop, &self.delivered) {
-            (Crop::Auto, Some(part)) => Ok(part.clone()),
-            _ => crop.object(&self.base, &self.world_from_cameras),
-        }
+    }
+}
+
+/// The part of a surface that is refined: what lies in a box, or, without one, what a crop takes.
+///
+/// # Errors
+/// Says for the operator why nothing is left.
+pub fn choose_object(
+    base: &TriMesh,
+    world_from_cameras: &[Pose],
+    roi: Option<&Roi>,
+    crop: Crop,
+) -> Result<TriMesh, String> {
+    let Some(roi) = roi else {
+        return crop.object(base, world_from_cameras);
+    };
+    let object = select_roi(base, roi);
+    match object.faces.is_empty() {
+        true => Err("no surface lies in the box given by --roi".to_owned()),
+        false => Ok(object),
     }
 }
 

@@ -3,7 +3,7 @@
 use super::SelfCalibrationParams;
 use super::lit_patch::{LitPatch, Reading};
 use crate::shading::{Calibration, Gloss, NearLight, Tukey, median, median_absolute_deviation};
-use nalgebra::{DMatrix, DVector, Matrix3, SVector, Vector3};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, SVector, Vector3};
 use rayon::prelude::*;
 
 /// Standard deviation of a patch's mean normal on the fused surface, radians.
@@ -12,6 +12,10 @@ const TILT_SIGMA_RAD: f64 = 0.015;
 const LIGHT_DEPTH_SIGMA_M: f64 = 0.001;
 /// Standard deviation of the strength of indirect light as a share of it.
 const INDIRECT_SIGMA: f64 = 0.3;
+/// What Eq. (1) gets wrong over a whole scan alike, as shares of intensity and of what of it is indirect: light from what the image does not
+/// show is missing, and what stands between is not seen. However many patches there are, they tell no better than that.
+const MODEL_SIGMA: f64 = 0.0022;
+const INDIRECT_MODEL_SIGMA: f64 = 0.035;
 /// Standard deviation of a view's gain as a share of it: as in alignment.
 const GAIN_SIGMA: f64 = 0.015;
 /// Standard deviation of the logarithm of gloss's exponent, and the exponents that are believed.
@@ -19,6 +23,7 @@ const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
 const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
 /// Unknowns that all patches share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light.
 const N_LIT: usize = 6;
+const AT_INDIRECT: usize = N_LIT - 1;
 /// Those of each material: strength of gloss and the logarithm of its exponent.
 const N_OF_GLOSS: usize = 2;
 /// What a reading depends on beside its patch and the gain of its view.
@@ -150,12 +155,7 @@ impl Unknowns {
 
     /// What is believed with the response and light of these.
     pub fn calibration(&self, believed: &Calibration) -> Calibration {
-        let mut calibration = believed.clone();
-        calibration.gamma = 1.0 / self.inv_gamma;
-        // White is as many counts as before, which are another intensity now.
-        let by_gamma = believed.gamma / calibration.gamma;
-        let white = &mut calibration.light.white_level;
-        *white = white.map(|level| level.powf(by_gamma));
+        let mut calibration = believed.with_gamma(1.0 / self.inv_gamma);
         calibration.light.position_m = Some(self.light.position.coords.into());
         calibration.light.lobe_power = self.light.lobe_power;
         calibration
@@ -209,6 +209,9 @@ struct Own {
 struct Normal {
     jtj: DMatrix<f64>,
     jtr: DVector<f64>,
+    /// Weight of all readings, and that times the share of indirect light.
+    weight: f64,
+    weighted_indirect: f64,
 }
 
 impl Normal {
@@ -216,7 +219,24 @@ impl Normal {
         Normal {
             jtj: DMatrix::zeros(n, n),
             jtr: DVector::zeros(n),
+            weight: 0.0,
+            weighted_indirect: 0.0,
         }
+    }
+
+    fn plus(mut self, other: &Normal) -> Normal {
+        self.jtj += &other.jtj;
+        self.jtr += &other.jtr;
+        self.weight += other.weight;
+        self.weighted_indirect += other.weighted_indirect;
+        self
+    }
+
+    /// Variance of a reading of weight 1 with what the model gets wrong of all alike, which no number of readings makes less.
+    fn variance_with_model(&self) -> f64 {
+        let indirect = self.weighted_indirect / self.weight.max(f64::MIN_POSITIVE);
+        let of_model = MODEL_SIGMA.powi(2) + (INDIRECT_MODEL_SIGMA * indirect).powi(2);
+        1.0 + of_model * self.weight
     }
 
     /// Adds a patch; `None` if its own unknowns are not determined, which their priors exclude.
@@ -233,6 +253,8 @@ impl Normal {
             };
             let sigma = reading.sigma;
             let weight = loss.weight(row.residual / sigma) / (sigma * sigma);
+            self.weight += patch.share * weight;
+            self.weighted_indirect -= patch.share * weight * row.by_shared[AT_INDIRECT];
             own += row.by_own * row.by_own.transpose() * weight;
             gradient += row.by_own * (row.residual * weight);
             let mut touched = unknowns
@@ -262,14 +284,23 @@ impl Normal {
     }
 }
 
-/// Gauss-Newton from `start`, which is also the prior, the strength of each material's gloss held as stated; the shared unknowns
-/// and their standard deviations.
+/// What fits, and how sure it is.
+pub struct Fit {
+    /// What all patches share.
+    pub found: Unknowns,
+    /// Standard deviations, if all readings err on their own.
+    pub sigmas: Vec<f64>,
+    /// The same with what the model gets wrong of all alike.
+    pub sigmas_with_model: Vec<f64>,
+}
+
+/// Gauss-Newton from `start`, which is also the prior, the strength of each material's gloss held as stated.
 pub fn fit(
     patches: &mut [LitPatch],
     start: &Unknowns,
     params: &SelfCalibrationParams,
     gloss_sigmas: &[f64],
-) -> Option<(Unknowns, Vec<f64>)> {
+) -> Option<Fit> {
     for patch in patches.iter_mut() {
         patch.own = Vector3::zeros();
         let rows = patch
@@ -279,7 +310,7 @@ pub fn fit(
         let mut residuals: Vec<f64> = rows.map(|row| row.residual).collect();
         patch.own[0] = median(&mut residuals)?;
     }
-    let (mut unknowns, mut sigmas) = (start.clone(), Vec::new());
+    let (mut unknowns, mut sigmas) = (start.clone(), Default::default());
     for _ in 0..MAX_STEPS {
         let loss = Tukey {
             scale: residual_scale(patches, &unknowns),
@@ -299,14 +330,13 @@ pub fn fit(
             })
             .collect();
         let tiles = tiles?;
-        let mut normal = Normal::zero(n);
-        for (tile, _) in &tiles {
-            normal.jtj += &tile.jtj;
-            normal.jtr += &tile.jtr;
-        }
+        let all = tiles.iter().map(|(tile, _)| tile);
+        let mut normal = all.fold(Normal::zero(n), Normal::plus);
+        let mut with_model = &normal.jtj / normal.variance_with_model();
         let prior = unknowns.prior(start, params, gloss_sigmas);
         for (k, (distance, weight)) in prior.into_iter().enumerate() {
             normal.jtj[(k, k)] += weight;
+            with_model[(k, k)] += weight;
             normal.jtr[k] += weight * distance;
         }
         let cholesky = normal.jtj.cholesky()?;
@@ -317,14 +347,24 @@ pub fn fit(
             let coupled = &own.coupling * &step;
             patch.own -= own.inverse * (own.gradient + coupled.fixed_rows::<3>(0));
         }
-        let variances = cholesky.inverse().diagonal();
-        sigmas = variances.iter().map(|variance| variance.sqrt()).collect();
+        sigmas = (deviations(&cholesky), deviations(&with_model.cholesky()?));
         if step[0].abs() < SETTLED {
             break;
         }
     }
+    let (sigmas, sigmas_with_model) = sigmas;
     let is_finite = unknowns.inv_gamma.is_finite() && unknowns.inv_gamma > 0.0;
-    is_finite.then_some((unknowns, sigmas))
+    is_finite.then_some(Fit {
+        found: unknowns,
+        sigmas,
+        sigmas_with_model,
+    })
+}
+
+/// Standard deviations by an information matrix.
+fn deviations(information: &Cholesky<f64, Dyn>) -> Vec<f64> {
+    let variances = information.inverse().diagonal();
+    variances.iter().map(|variance| variance.sqrt()).collect()
 }
 
 /// Robust loss of all residuals, in squared sigmas.
