@@ -221,6 +221,7 @@ mod tests {
                 depth: PackedDepth::pack(&wrong, depth.width(), 1.5),
                 time_secs: frame.device_time_secs,
                 world_from_camera: *pose,
+                given: None,
                 stretch: 0,
             });
         }

@@ -124,6 +124,7 @@ mod tests {
     use super::*;
     use crate::fusion::DepthNoise;
     use crate::fusion::keyframes::Keyframes;
+    use crate::fusion::track::Track;
     use crate::geometry::camera::tests::distorted_camera;
     use depth_camera::Sensor;
 
@@ -138,7 +139,7 @@ mod tests {
         let mut keyframes = Keyframes::new(usize::MAX);
         for k in 0..n_frames {
             let pose = Pose::translation(0.022 * k as f64, 0.0, 0.0);
-            keyframes.offer(&eye, k as f64, &pose, k / unbroken);
+            keyframes.offer(&eye, &Track::at(pose, k as f64), None, k / unbroken);
         }
         keyframes.frames().to_vec()
     }

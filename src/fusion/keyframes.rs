@@ -7,6 +7,7 @@
 use super::eye::Eye;
 use super::packed_depth::PackedDepth;
 use super::pose_correction::PoseCorrection;
+use super::track::Track;
 use crate::geometry::Pose;
 use depth_camera::Image;
 
@@ -18,6 +19,8 @@ pub struct Keyframe {
     pub time_secs: f64,
     /// Where it was fused.
     pub world_from_camera: Pose,
+    /// Where it was given to lie; `None` for one that was tracked.
+    pub given: Option<Pose>,
     /// Which stretch of unbroken tracking it belongs to.
     pub stretch: usize,
 }
@@ -79,8 +82,8 @@ impl Keyframes {
         }
     }
 
-    /// Takes the frame in hand in, unless it is one of those between.
-    pub fn offer(&mut self, eye: &Eye, time_secs: f64, world_from_camera: &Pose, stretch: usize) {
+    /// Takes the frame in hand in, which was fused where the track now ends, unless it is one of those between.
+    pub fn offer(&mut self, eye: &Eye, track: &Track, given: Option<Pose>, stretch: usize) {
         self.n_skipped += 1;
         if self.max_bytes == 0 || (self.n_skipped < self.stride && !self.frames.is_empty()) {
             return;
@@ -91,8 +94,9 @@ impl Keyframes {
         self.memory_bytes += depth.memory_bytes();
         self.frames.push(Keyframe {
             depth,
-            time_secs,
-            world_from_camera: *world_from_camera,
+            time_secs: track.time_secs,
+            world_from_camera: track.world_from_camera,
+            given,
             stretch,
         });
         while self.memory_bytes > self.max_bytes && self.frames.len() > 1 {
@@ -136,11 +140,12 @@ mod tests {
         let noise = DepthNoise::of_sensor(Sensor::Kinect2);
         let mut eye = Eye::new(&camera, noise, FusionParams::default().depth_range());
         assert!(eye.take(&Image::filled(512, 424, 0.7f32)));
+        let at = |frame: i32| Track::at(Pose::identity(), f64::from(frame));
         let max_bytes = 20 * 512 * 424;
         let mut keyframes = Keyframes::new(max_bytes);
         let mut n_most = 0;
         for frame in 0..200 {
-            keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
+            keyframes.offer(&eye, &at(frame), None, 0);
             let frames = keyframes.frames();
             let held: usize = frames.iter().map(|f| f.depth.memory_bytes()).sum();
             assert!(held == keyframes.memory_bytes && held <= max_bytes);
@@ -152,18 +157,18 @@ mod tests {
                 (gap.min(least), gap.max(most))
             });
             assert!(frames[0].time_secs == 0.0 && most <= 2.0 * least);
-            assert!(frame as f64 - frames[frames.len() - 1].time_secs <= most);
+            assert!(f64::from(frame) - frames[frames.len() - 1].time_secs <= most);
         }
         assert!(n_most >= 18, "{n_most}");
         keyframes.truncate(3);
         for frame in 200..400 {
-            keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
+            keyframes.offer(&eye, &at(frame), None, 0);
         }
         assert_eq!(keyframes.frames().len(), n_most);
         assert!(!keyframes.are_dense());
         keyframes.truncate(0);
         for frame in 0..3 {
-            keyframes.offer(&eye, frame as f64, &Pose::identity(), 0);
+            keyframes.offer(&eye, &at(frame), None, 0);
         }
         assert!(keyframes.are_dense() && keyframes.frames().len() == 3);
     }

@@ -15,12 +15,15 @@ pub struct LoopSearch {
     frames: Vec<Keyframe>,
     eye: Eye,
     params: FusionParams,
+    n_relocalised: usize,
 }
 
 /// Loops that were found, and the model that they lead to.
 pub struct LoopsAside {
     found: FoundLoops,
     eye: Eye,
+    /// How often the camera had been found in another place when they were looked for.
+    n_relocalised: usize,
     /// Frames that came since, to be fused next.
     later: Vec<Keyframe>,
 }
@@ -32,10 +35,12 @@ impl LoopSearch {
             frames,
             eye,
             params,
+            n_relocalised,
         } = self;
         Some(LoopsAside {
             found: loop_closing::find(&frames, &eye, &params, goes_on)?,
             eye,
+            n_relocalised,
             later: Vec::new(),
         })
     }
@@ -64,7 +69,14 @@ impl Fusion {
             frames: self.keyframes.frames().to_vec(),
             eye: self.eye.clone(),
             params: self.params.clone(),
+            n_relocalised: self.n_relocalised,
         }
+    }
+
+    /// Whether the camera was lost and found in another place since loops were looked for. What has drifted there is not what the
+    /// last frames before have, with which later ones are moved: loops are to be looked for anew.
+    pub fn has_jumped_since(&self, loops: &LoopsAside) -> bool {
+        self.n_relocalised != loops.n_relocalised
     }
 
     /// Gives loops the frames that have come since they were looked for; whether they are too many to be fused in between.

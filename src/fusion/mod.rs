@@ -352,7 +352,7 @@ impl Fusion {
         self.before = Before::Tracked;
         self.places.visit(&self.eye, &self.track);
         self.revisits.visit(&self.track);
-        self.keep();
+        self.keep(None);
         let world_from_camera = self.track.world_from_camera;
         let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
         if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
@@ -367,13 +367,8 @@ impl Fusion {
         self.volume_number += 1;
     }
 
-    fn keep(&mut self) {
-        let Track {
-            world_from_camera,
-            time_secs,
-            ..
-        } = self.track;
+    fn keep(&mut self, given: Option<Pose>) {
         self.keyframes
-            .offer(&self.eye, time_secs, &world_from_camera, self.stretch);
+            .offer(&self.eye, &self.track, given, self.stretch);
     }
 }

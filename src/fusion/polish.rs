@@ -2,7 +2,7 @@
 //!
 //! The given pose is the start of the frame's alignment, and what the result is held against: one that goes farther than
 //! such poses err is a slide or a false fit, and the given pose is the better one. Frames do not drift off with the model,
-//! since each of them is held by its own pose.
+//! since each of them is held by its own pose, however often it is fused anew.
 
 use super::{
     Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome,
@@ -60,7 +60,22 @@ impl PolishParams {
     }
 }
 
+/// Where a frame is looked for.
+struct Near<'a> {
+    /// Where its alignment starts.
+    start: &'a Pose,
+    /// What the result is held against, and what stands if it is not believed.
+    given: &'a Pose,
+    /// How far the result may lie from there; as far as given poses err where it does not say.
+    reach: Option<Motion>,
+}
+
 impl Fusion {
+    /// Whether a depth image (m) holds more than (almost) no depth, so that the camera was not covered.
+    pub fn sees_depth(&mut self, depth: &Image<f32>) -> bool {
+        self.eye.take(depth)
+    }
+
     /// Fuses one depth image at a pose that is known, and keeps it.
     pub fn fuse_at(
         &mut self,
@@ -72,7 +87,7 @@ impl Fusion {
             return TrackingOutcome::NoDepth;
         }
         self.accept(*world_from_camera, time_secs, &mut |_| {});
-        self.keep_as_given();
+        self.keep_as_given(world_from_camera);
         TrackingOutcome::Tracked {
             world_from_camera: *world_from_camera,
             fit: None,
@@ -92,18 +107,20 @@ impl Fusion {
         time_secs: f64,
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
-        let outcome = self.fuse_polished(depth, time_secs, world_from_camera, None);
-        if let TrackingOutcome::Tracked { fit, .. } = &outcome {
-            // Before the first frame there is nothing to lie on.
-            self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 1);
-            self.keep_as_given();
-        }
+        let near = Near {
+            start: world_from_camera,
+            given: world_from_camera,
+            reach: None,
+        };
+        let outcome = self.fuse_polished(depth, time_secs, &near);
+        self.keep_polished(&outcome, world_from_camera);
         outcome
     }
 
     /// Fuses a frame of another model once more, with its depth (m) corrected otherwise, where it lies best on this one near
     /// where it is now known to lie, `reach` of that at most, or there, and keeps it for closing loops as if it had been tracked.
-    /// Without a `reach` of its own it may go as far as given poses err.
+    /// Without a `reach` of its own it may go as far as given poses err. A frame whose pose was given is held by that one all the
+    /// same, and kept as given.
     pub fn fuse_anew(
         &mut self,
         depth: &Image<f32>,
@@ -112,33 +129,48 @@ impl Fusion {
         reach: Option<Motion>,
     ) -> TrackingOutcome {
         self.stretch = frame.stretch;
-        let outcome = self.fuse_polished(depth, frame.time_secs, world_from_camera, reach);
-        if let TrackingOutcome::Tracked { fit, .. } = &outcome {
+        let near = Near {
+            start: world_from_camera,
+            given: frame.given.as_ref().unwrap_or(world_from_camera),
+            reach,
+        };
+        let outcome = self.fuse_polished(depth, frame.time_secs, &near);
+        if let Some(given) = &frame.given {
+            self.keep_polished(&outcome, given);
+        } else if let TrackingOutcome::Tracked { fit, .. } = &outcome {
             self.remember(fit.as_ref());
         }
         outcome
     }
 
+    /// Keeps a frame that was to be polished, and counts it if its given pose stands.
+    fn keep_polished(&mut self, outcome: &TrackingOutcome, given: &Pose) {
+        if let TrackingOutcome::Tracked { fit, .. } = outcome {
+            // Before the first frame there is nothing to lie on.
+            self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 1);
+            self.keep_as_given(given);
+        }
+    }
+
     /// Keeps the frame that was just fused at, or near, a pose that was given.
-    fn keep_as_given(&mut self) {
+    fn keep_as_given(&mut self, given: &Pose) {
         self.is_given = true;
-        self.keep();
+        self.keep(Some(*given));
     }
 
     fn fuse_polished(
         &mut self,
         depth: &Image<f32>,
         time_secs: f64,
-        given: &Pose,
-        reach: Option<Motion>,
+        near: &Near,
     ) -> TrackingOutcome {
         if !self.eye.take(depth) {
             return TrackingOutcome::NoDepth;
         }
         let on_step: &mut OnStep = &mut |_: FusionStep| {};
-        let (pose, fit) = match self.polish(given, reach, on_step) {
+        let (pose, fit) = match self.polish(near, on_step) {
             Ok((pose, fit)) => (pose, Some(fit)),
-            Err(_) => (*given, None),
+            Err(_) => (*near.given, None),
         };
         self.accept(pose, time_secs, on_step);
         TrackingOutcome::Tracked {
@@ -152,28 +184,28 @@ impl Fusion {
         self.n_unpolished
     }
 
-    /// Aligns the frame in hand to the model as seen from its given pose, and judges the result.
-    fn polish(
-        &mut self,
-        given: &Pose,
-        reach: Option<Motion>,
-        on_step: &mut OnStep,
-    ) -> Result<(Pose, Fit), LossReason> {
+    /// Aligns the frame in hand to the model as seen from where it starts, and judges the result.
+    fn polish(&mut self, near: &Near, on_step: &mut OnStep) -> Result<(Pose, Fit), LossReason> {
+        let Near {
+            start,
+            given,
+            reach,
+        } = *near;
         let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
         // Given views may lie far apart: what the last one saw may not be in this one at all.
         let map = self.model.as_mut().ok_or(nothing)?;
-        eye.look(MODEL_LEVEL, volume, given, map);
+        eye.look(MODEL_LEVEL, volume, start, map);
         let model = icp::CastModel {
             map,
             lens: &eye.level(MODEL_LEVEL).lens,
-            world_from_camera: given,
+            world_from_camera: start,
         };
         let (pose, fit) = align(
             eye,
             &model,
             volume,
-            given,
+            start,
             params,
             Beside::default(),
             on_step,

@@ -374,6 +374,7 @@ mod tests {
                 depth: PackedDepth::pack(read.data(), depth.width(), 1.5),
                 time_secs: at.time_secs,
                 world_from_camera: at.world_from_camera,
+                given: None,
                 stretch: at.stretch,
             });
         }

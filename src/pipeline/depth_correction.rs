@@ -1,6 +1,8 @@
 //! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
 //! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 
+mod carry;
+
 use crate::{
     fusion::{
         DepthField, DepthNoise, Fusion, FusionParams, GoesOn, PoseCorrection, RollingShutter,
@@ -11,6 +13,7 @@ use crate::{
     multipath::{Evidence, Multipath, Prediction, RangeBias, Seen, WhiteSearch},
     shading::Calibration,
 };
+use carry::Carry;
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -261,14 +264,21 @@ impl DepthCorrection {
         revised: &Revised,
     ) -> Image<f32> {
         let (model, known) = (&revised.fusion, &revised.known);
-        self.anew(depth_m, time_secs, world_from_camera, model, known)
+        let depth = (depth_m, self.live);
+        self.anew(depth, time_secs, world_from_camera, model, known)
     }
 
-    /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what is known now, on a
-    /// model in which it was taken from `world_from_camera`.
+    /// The white level by which a frame of the scan was corrected while the scan went on; none where it had no infrared image.
+    fn corrected_by(&self, time_secs: f64) -> Option<WhiteLevel> {
+        let is_predicted = self.predictions.contains_key(&nanos(time_secs));
+        self.live.filter(|_| is_predicted)
+    }
+
+    /// The depth (m) of a frame of the scan, corrected for what is known now instead of `by` a white level, on a model in which it was
+    /// taken from `world_from_camera`.
     fn anew(
         &self,
-        depth_m: &Image<f32>,
+        (depth_m, by): (&Image<f32>, Option<WhiteLevel>),
         time_secs: f64,
         world_from_camera: &Pose,
         model: &Fusion,
@@ -279,8 +289,7 @@ impl DepthCorrection {
             || depth_m.clone(),
             |(multipath, nearest)| {
                 let bias = bias_on(model, multipath, depth_m, &nearest, world_from_camera);
-                let live = &nearest.prediction.bias;
-                let raw = multipath.corrected(depth_m, live, self.live, None);
+                let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
                 multipath.corrected(&raw, &bias, None, known.white)
             },
         );
@@ -383,25 +392,24 @@ impl DepthCorrection {
             })
             .collect();
         let velocities = velocities(&path);
-        // Frames whose rows are put right lie elsewhere, and carry those after them along.
         let is_given = original.is_at_given_poses();
         let reach = known.shutter.filter(|_| !is_given).map(|_| SHUTTER_REACH);
-        let mut carried = Pose::identity();
+        let mut carry = Carry::default();
         for (n_done, (frame, velocity)) in frames.iter().zip(&velocities).enumerate() {
             if !goes_on(work.at(n_done, frames.len())) {
                 return None;
             }
             let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
             let before = path[n_done].world_from_camera;
-            let mut depth = self.anew(&frame.depth_m(), time_secs, &before, model, &known);
+            let seen = (&frame.depth_m(), self.corrected_by(time_secs));
+            let mut depth = self.anew(seen, time_secs, &before, model, &known);
             if let Some(shutter) = &known.shutter {
                 depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
             }
-            let here = carried * before;
-            let outcome = match (is_given, self.fusion.polish.enabled) {
-                (false, _) => fusion.fuse_anew(&depth, frame, &here, reach),
-                (true, true) => fusion.fuse_near(&depth, time_secs, &here),
-                (true, false) => fusion.fuse_at(&depth, time_secs, &here),
+            let here = carry.to(frame.stretch, &before) * before;
+            let outcome = match is_given && !self.fusion.polish.enabled {
+                true => fusion.fuse_at(&depth, time_secs, &here),
+                false => fusion.fuse_anew(&depth, frame, &here, reach),
             };
             let TrackingOutcome::Tracked {
                 world_from_camera,
@@ -413,7 +421,7 @@ impl DepthCorrection {
             };
             n_lost += usize::from(fit.is_none() && !knots.is_empty() && !is_given);
             if reach.is_some() {
-                carried = world_from_camera * before.inverse();
+                carry.note(frame.stretch, before, &world_from_camera);
             }
             knots.push((time_secs, world_from_camera * tracked.inverse()));
         }

@@ -1,7 +1,9 @@
 //! Loops over frames of the simulated camera, whose poses are known.
 
 use super::super::tests::{frames as simulated_frames, small_params};
-use super::super::{DepthNoise, FusionParams, Improvement, eye::Eye, keyframes::Keyframes};
+use super::super::{
+    DepthNoise, FusionParams, Improvement, eye::Eye, keyframes::Keyframes, track::Track,
+};
 use super::*;
 use crate::geometry::{increment, motion_between};
 use depth_camera::Sensor;
@@ -17,7 +19,8 @@ fn drifted(n_frames: usize, drift: &Vector6<f64>) -> (Keyframes, Vec<Pose>, Eye)
         let depth = frame.depth.as_ref().expect("Kinect II");
         let off = increment(&(drift * index as f64));
         assert!(eye.take(depth));
-        keyframes.offer(&eye, frame.device_time_secs, &(off * pose), 0);
+        let track = Track::at(off * pose, frame.device_time_secs);
+        keyframes.offer(&eye, &track, None, 0);
     }
     (keyframes, truth, eye)
 }

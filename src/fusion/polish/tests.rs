@@ -100,6 +100,27 @@ fn beyond_the_bound_the_given_pose_stands_and_is_counted() {
 }
 
 #[test]
+fn a_frame_that_is_fused_anew_is_held_by_the_pose_that_was_given() {
+    let (frames, truth, camera) = frames(4);
+    let mut before = fusion(camera);
+    // Beyond the 15 mm that are believed.
+    let astray = truth[3] * increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.025));
+    for (frame, pose) in frames.iter().zip(truth[..3].iter().chain([&astray])) {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        before.fuse_near(depth, frame.device_time_secs, pose);
+    }
+    let mut anew = fusion(camera);
+    for (frame, pose) in before.keyframes().iter().zip(&truth) {
+        let outcome = anew.fuse_anew(&frame.depth_m(), frame, pose, None);
+        assert!(matches!(outcome, TrackingOutcome::Tracked { .. }));
+    }
+    let last = &anew.keyframes()[3];
+    assert_eq!((last.world_from_camera, last.given), (astray, Some(astray)));
+    assert_eq!(anew.n_unpolished(), 1);
+    assert!(anew.is_at_given_poses());
+}
+
+#[test]
 fn frames_that_are_fused_anew_are_kept_as_tracked_ones_are() {
     let (frames, truth, camera) = frames(6);
     let mut tracked = fusion(camera);

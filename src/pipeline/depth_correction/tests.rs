@@ -135,3 +135,36 @@ fn a_scan_is_revised_by_the_calibration_that_was_found_since() {
     // Views tell each its own white level.
     assert!(after < 0.3 * before, "{before} m, {after} m");
 }
+
+#[test]
+fn multipath_is_taken_once_off_a_frame_without_an_infrared_image() {
+    let (mut correction, fusion) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
+    let mut camera = SimulatedCamera::kinect2_plaque(N_FRAMES, 7);
+    let seen = camera.grab(Duration::from_secs(10));
+    let seen = seen.expect("it is simulated").expect("not the end");
+    let seen_m = seen.depth.expect("a Kinect II");
+    let frame = &fusion.keyframes()[0];
+    let (time_secs, pose) = (frame.time_secs, frame.world_from_camera);
+    let known = Known {
+        white: correction.live,
+        field: None,
+        shutter: None,
+    };
+    let anew = |correction: &DepthCorrection, depth_m: &Image<f32>| {
+        let depth = (depth_m, correction.corrected_by(time_secs));
+        correction.anew(depth, time_secs, &pose, &fusion, &known)
+    };
+    let of_corrected = anew(&correction, &frame.depth_m());
+    correction.predictions.remove(&nanos(time_secs));
+    let of_seen = anew(&correction, &seen_m);
+    let mean = |a: &Image<f32>, b: &Image<f32>| {
+        let pixels = a.data().iter().zip(b.data());
+        let both = pixels.filter(|(a, b)| **a > 0.0 && **b > 0.0);
+        let apart: Vec<f64> = both.map(|(a, b)| f64::from(a - b)).collect();
+        apart.iter().sum::<f64>() / apart.len() as f64
+    };
+    let taken_m = mean(&seen_m, &of_corrected);
+    assert!(taken_m > 0.0003, "{taken_m}");
+    let apart_m = mean(&of_seen, &of_corrected);
+    assert!(apart_m.abs() < 0.15 * taken_m, "{apart_m} of {taken_m}");
+}

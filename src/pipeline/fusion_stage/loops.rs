@@ -6,7 +6,7 @@ use crate::{
     capture::EventKind,
     fusion::{Fusion, LoopClosure, LoopsAside},
     geometry::motion_between,
-    pipeline::threads,
+    pipeline::{status::StopToken, threads},
 };
 use rayon::{ThreadPool, ThreadPoolBuildError};
 use std::{
@@ -81,25 +81,40 @@ impl LoopsUnderWay {
         }
     }
 
-    /// Does it; loops that can be closed now, if some were found.
-    fn go_on(&mut self, fusion: &mut Fusion, pool: &ThreadPool) -> Option<LoopsAside> {
+    /// Does it; loops that can be closed now, if some were found. What holds up the frames of a recording ends when the scan is to
+    /// stop.
+    fn go_on(
+        &mut self,
+        fusion: &mut Fusion,
+        pool: &ThreadPool,
+        stop: &StopToken,
+    ) -> Option<LoopsAside> {
         let LoopTiming::Aside(aside) = &self.timing else {
             let search = fusion.search_loops();
-            return pool.install(|| search.run(&|_| true));
+            return pool.install(|| search.run(&|_| !stop.is_stopped()));
         };
         let Some(work) = self.work.take() else {
-            let search = fusion.search_loops();
-            self.work = begin(aside, 0, |goes_on| search.run(&|_| goes_on()));
+            self.work = begin_search(aside, fusion);
             return None;
         };
         let n_turns = work.n_turns + 1;
         let mut loops = joined(work.thread)?;
+        if fusion.has_jumped_since(&loops) {
+            self.work = begin_search(aside, fusion);
+            return None;
+        }
         if fusion.hand_later(&mut loops) && n_turns < MAX_TURNS {
             self.work = begin(aside, n_turns, |goes_on| loops.catch_up(goes_on));
             return None;
         }
         Some(loops)
     }
+}
+
+/// Looks for loops beside the scan; `None` if the system gives no thread.
+fn begin_search(pool: &Arc<ThreadPool>, fusion: &mut Fusion) -> Option<Work> {
+    let search = fusion.search_loops();
+    begin(pool, 0, |goes_on| search.run(&|_| goes_on()))
 }
 
 /// Does some work beside the scan; `None` if the system gives no thread.
@@ -136,8 +151,9 @@ impl FusionStage {
         if !loops.are_due(fusion) {
             return;
         }
+        let stop = &self.stop;
         let closure = self.closing_clock.time(|| {
-            let found = loops.go_on(fusion, pool)?;
+            let found = loops.go_on(fusion, pool, stop)?;
             pool.install(|| fusion.take_over(found))
         });
         let Some(closure) = closure else { return };

@@ -12,20 +12,22 @@ use depth_camera::Frame;
 use std::sync::Arc;
 
 impl FusionStage {
-    /// What became of a frame; `None` where poses are given and none is near.
+    /// What became of a frame; `None` where poses are given, none is near, and it would be needed.
     pub(super) fn fuse(&mut self, frame: &Frame) -> Option<TrackingOutcome> {
         let Some(depth) = &frame.depth else {
             return Some(TrackingOutcome::NoDepth);
         };
         let time_secs = frame.device_time_secs;
-        let given = match &self.poses {
-            Some(poses) => Some(poses.at(time_secs)?),
-            None => None,
-        };
-        if let (Some(ir), None) = (&frame.ir, &given) {
-            self.fusion.see(ir);
-        }
+        let given = self.poses.as_ref().and_then(|poses| poses.at(time_secs));
         let (fusion, pool, polish) = (&mut self.fusion, &self.pool, self.polish);
+        if self.poses.is_some() && given.is_none() {
+            // While the projector is covered nobody may have measured where the camera is, and shading images come all the same.
+            let sees_depth = pool.install(|| fusion.sees_depth(depth));
+            return (!sees_depth).then_some(TrackingOutcome::NoDepth);
+        }
+        if let (Some(ir), None) = (&frame.ir, &given) {
+            fusion.see(ir);
+        }
         let outcome = self.fusion_clock.time(|| {
             pool.install(|| match given {
                 Some(pose) if polish => fusion.fuse_near(depth, time_secs, &pose),
@@ -136,5 +138,56 @@ impl FusionStage {
         if let Some(refusal) = &self.summary.refusal {
             tracing::warn!("{refusal}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FusionSetup, ending_tests::setup};
+    use super::*;
+    use crate::{
+        fusion::FusionParams,
+        pipeline::{edges, event_log::EventLog, given_poses::GivenPoses},
+    };
+    use depth_camera::{DepthCamera, Image};
+    use replay::TimedPose;
+    use simulated::SimulatedCamera;
+    use std::time::Duration;
+
+    #[test]
+    fn a_covered_frame_without_a_given_pose_shows_no_depth_and_is_not_lost() {
+        let mut camera = SimulatedCamera::kinect1_plaque(1, 7);
+        let info = camera.info().clone();
+        let frame = camera.grab(Duration::ZERO).expect("no errors");
+        let frame = frame.expect("not the last");
+        let first = TimedPose {
+            time_secs: frame.device_time_secs,
+            translation_m: [0.0; 3],
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+        };
+        let fusion = FusionParams {
+            voxel_size_m: 0.004,
+            ..FusionParams::default()
+        };
+        let (surfaces, _) = edges::surfaces();
+        let setup = FusionSetup {
+            poses: Some(GivenPoses::new(&[first])),
+            ..setup(info, fusion, surfaces)
+        };
+        let (tracked, _told) = edges::tracked(&EventLog::default());
+        let mut stage = FusionStage::new(setup, tracked);
+        let outcome = stage.fuse(&frame);
+        assert!(matches!(outcome, Some(TrackingOutcome::Tracked { .. })));
+        let later = |depth: Image<f32>| Frame {
+            frame_id: 1,
+            device_time_secs: frame.device_time_secs + 1.0,
+            host_time: frame.host_time,
+            depth: Some(depth),
+            ir: None,
+        };
+        let depth = frame.depth.clone().expect("a Kinect I");
+        let covered = later(depth.map(|_| 0.0));
+        assert_eq!(stage.fuse(&covered), Some(TrackingOutcome::NoDepth));
+        assert_eq!(stage.fuse(&later(depth)), None);
     }
 }
