@@ -64,7 +64,7 @@ pub enum RefineError {
     /// Brightness changes over the images as the light model does not know it.
     #[error(
         "the images contradict the calibration, brightness differs slowly by {:.1} % from what the light would give (at most \
-         {:.1} %, refine.trust.max_slow_gain): gamma or light is wrong; the base mesh stands",
+         {:.1} %, by refine.trust.max_slow_gain and what of the light is indirect): gamma or light is wrong; the base mesh stands",
         100.0 * slow_gain, 100.0 * limit
     )]
     SlowlyContradicted {

@@ -179,7 +179,8 @@ pub fn refine(
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));
     }
-    let (slow_gain, limit) = (judgement.overall.slow_gain, params.trust.max_slow_gain);
+    let slow_gain = judgement.overall.slow_gain;
+    let limit = slow_gain_limit(&params.trust, prepared.told().indirect_share);
     if slow_gain > limit {
         return Err(RefineError::SlowlyContradicted { slow_gain, limit });
     }
@@ -216,6 +217,13 @@ pub fn refine(
         contradiction: prepared.told().contradiction.clone(),
         mesh: state.surface.mesh,
     })
+}
+
+/// Slow gains that are believed where so large a share of the light is indirect.
+fn slow_gain_limit(trust: &ImageTrust, indirect_share: f64) -> f64 {
+    /// How far indirect light is off, as a share of it: a quarter in a deep bowl, most of what the image does not show.
+    const INDIRECT_ERROR: f64 = 0.25;
+    trust.max_slow_gain.hypot(INDIRECT_ERROR * indirect_share)
 }
 
 /// Refines as often as there are folds, each time without every `n_folds`-th view, which then judge: leave-one-out where

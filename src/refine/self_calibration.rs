@@ -126,6 +126,8 @@ pub struct Told {
     pub contradiction: Option<Contradiction>,
     /// Of the surface.
     pub gloss: Gloss,
+    /// Share of the light that comes over other surfaces.
+    pub indirect_share: f64,
 }
 
 /// What the images tell of response, light and gloss from the `sites` of a surface that the views see.
@@ -148,6 +150,7 @@ pub fn told_by_images(
     let Fit {
         found,
         sigmas_with_model: sigmas,
+        indirect_share,
         ..
     } = &fit;
     let gloss = found.gloss[0];
@@ -185,6 +188,7 @@ pub fn told_by_images(
             calibration,
         }),
         gloss,
+        indirect_share: *indirect_share,
     }
 }
 

@@ -232,11 +232,15 @@ impl Normal {
         self
     }
 
+    /// Share of the light that is indirect.
+    fn indirect_share(&self) -> f64 {
+        self.weighted_indirect / self.weight.max(f64::MIN_POSITIVE)
+    }
+
     /// Variance of a reading of weight 1 with what the model gets wrong of all alike, which no number of readings makes less.
     fn variance_with_model(&self) -> f64 {
-        let indirect = self.weighted_indirect / self.weight.max(f64::MIN_POSITIVE);
-        let of_model = MODEL_SIGMA.powi(2) + (INDIRECT_MODEL_SIGMA * indirect).powi(2);
-        1.0 + of_model * self.weight
+        let of_indirect = INDIRECT_MODEL_SIGMA * self.indirect_share();
+        1.0 + (MODEL_SIGMA.powi(2) + of_indirect.powi(2)) * self.weight
     }
 
     /// Adds a patch; `None` if its own unknowns are not determined, which their priors exclude.
@@ -292,6 +296,8 @@ pub struct Fit {
     pub sigmas: Vec<f64>,
     /// The same with what the model gets wrong of all alike.
     pub sigmas_with_model: Vec<f64>,
+    /// Share of the light that is indirect.
+    pub indirect_share: f64,
 }
 
 /// Gauss-Newton from `start`, which is also the prior, the strength of each material's gloss held as stated.
@@ -311,6 +317,7 @@ pub fn fit(
         patch.own[0] = median(&mut residuals)?;
     }
     let (mut unknowns, mut sigmas) = (start.clone(), Default::default());
+    let mut indirect_share = 0.0;
     for _ in 0..MAX_STEPS {
         let loss = Tukey {
             scale: residual_scale(patches, &unknowns),
@@ -332,6 +339,7 @@ pub fn fit(
         let tiles = tiles?;
         let all = tiles.iter().map(|(tile, _)| tile);
         let mut normal = all.fold(Normal::zero(n), Normal::plus);
+        indirect_share = normal.indirect_share();
         let mut with_model = &normal.jtj / normal.variance_with_model();
         let prior = unknowns.prior(start, params, gloss_sigmas);
         for (k, (distance, weight)) in prior.into_iter().enumerate() {
@@ -358,6 +366,7 @@ pub fn fit(
         found: unknowns,
         sigmas,
         sigmas_with_model,
+        indirect_share,
     })
 }
 
