@@ -2,14 +2,15 @@
 """Writes a simulated session of another object, as a Kinect would have recorded it, with its true surface and poses.
 
     other_objects.py OBJECT OUT [--sensor kinect1] [--frames N] [--gamma G] [--lobe POWER] [--lens POWER] [--tremor MM]
-                     [--seed S]
+                     [--bounces N] [--seed S]
 
 Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pressed into clay, from the front), `stained` (the
 same, of an albedo that changes slowly), `painted` (the same, with an ornament), `gear` (sharp
 teeth, letters cut into the top, from above), `figure` (folds, thin arms, all round), `bowl` (deep, light goes from wall to wall,
 from above), `chest` (sharp edges, frames and strokes, all round). They stand on a grey table among boxes.
 
-Light that goes over one other surface is in the images: rays on the true surface, over four points of a pixel.
+Light that goes over other surfaces is in the images: rays on the true surface, over four points of a pixel; over two and more of them as
+places spread over the object gather it.
 
 Kinect II: that light is in the depth too, as phasors at 80 and 120 MHz. Depth has noise that grows in the dark, a fixed pattern,
 1 mm that changes with range, and no measurement on edges.
@@ -25,6 +26,7 @@ import numpy as np
 import open3d as o3d
 from PIL import Image
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter, uniform_filter
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from board_light_law import rays
@@ -33,6 +35,8 @@ from other_surroundings import unit
 
 # Light over other surfaces is gathered by so many rays: on the object at every pixel, on the rest at every fourth.
 GATHERED, COARSE = 64, 4
+# Light over two surfaces and more is known at places of the object so far apart, metres, and of other normals by so much.
+SPREAD_M, NORMAL_M = 0.006, 0.01
 # A pixel is integrated by two points an axis so far from its middle (Gauss), which blur as much as all of it does.
 GAUSS = 0.5 / 3**0.5
 # A hand that trembles turns by so much while it moves by a millimetre.
@@ -92,7 +96,7 @@ class Scene:
         weights = np.stack([1 - uv.sum(-1), uv[..., 0], uv[..., 1]], -1)
         normal = unit((self.n[corners] * weights[..., None]).sum(-2))
         normal *= -np.sign((normal * direction).sum(-1, keepdims=True))
-        return t, normal, (self.albedo[corners] * weights).sum(-1)
+        return t, normal, (self.albedo[corners] * weights).sum(-1), face
 
     def lit(self, point, normal, light, axis, power):
         """Irradiance by the light and the way from it."""
@@ -106,45 +110,84 @@ class Scene:
         return free * emitted * np.maximum((normal * to_light).sum(-1), 0) / far**2, far
 
 
-def gathered(scene, point, normal, light, axis, power, random):
-    """Irradiance over one other surface at points (n, 3), and the way from the light on it.
+def about(normal, turned):
+    """Directions (n, GATHERED, 3) about normals (n, 3), as many as the light that comes from there counts.
 
-    All points gather by the same directions about their normals, so that what is missed does not change from pixel to pixel."""
+    All points gather by the same ones, so that what is missed does not change from pixel to pixel."""
     k = np.arange(GATHERED)
-    far, turn = np.sqrt((k + 0.5) / GATHERED), 2 * np.pi * (k * 0.6180339887 + random.random())
+    far, turn = np.sqrt((k + 0.5) / GATHERED), 2 * np.pi * (k * 0.6180339887 + turned)
     across = unit(np.cross(normal, np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])))
     other = np.cross(normal, across)
     local = np.stack([far * np.cos(turn), far * np.sin(turn), np.sqrt(1 - far**2)], -1)
-    out = local[:, 0, None] * across[:, None] + local[:, 1, None] * other[:, None] + local[:, 2, None] * normal[:, None]
-    t, n, albedo = scene.hit((point + 1e-4 * normal)[:, None], out)
-    is_hit = np.isfinite(t)
-    t = np.where(is_hit, t, 1.0)
-    irradiance, way = scene.lit(point[:, None] + t[..., None] * out, n, light, axis, power)
-    sent = irradiance * albedo * is_hit
-    return sent.mean(-1), ((way + t) * sent).sum(-1) / np.maximum(sent.sum(-1), 1e-12)
+    return local[:, 0, None] * across[:, None] + local[:, 1, None] * other[:, None] + local[:, 2, None] * normal[:, None]
+
+
+class Gathering:
+    """Irradiance over other surfaces. What the surroundings get that way they do not send on."""
+
+    def __init__(self, scene, n_faces, bounces, random):
+        self.scene, self.bounces, self.random = scene, bounces, random
+        corners = scene.v[scene.f[:n_faces]]
+        centre, normal = corners.mean(1), unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        side = 2 * np.abs(normal).argmax(1) + (normal.max(1) > -normal.min(1))
+        _, places = np.unique(np.column_stack([np.floor(centre / SPREAD_M), side]), axis=0, return_index=True)
+        like = np.hstack([centre, NORMAL_M * normal])
+        # The last place is that of the surroundings.
+        self.place = np.full(len(scene.f), len(places))
+        self.place[:n_faces] = cKDTree(like[places]).query(like, workers=2)[1]
+        self.point, self.normal = centre[places], normal[places]
+
+    def lit_by(self, light, axis, power):
+        """Makes ready for a light: irradiance over two surfaces and more at the places, and the way of it."""
+        self.light = light, axis, power
+        self.sent, self.way = np.zeros(len(self.point) + 1), np.zeros(len(self.point) + 1)
+        if self.bounces > 1:
+            hits = self.hits(self.point, self.normal)
+        for _ in range(1, self.bounces):
+            self.sent[:-1], self.way[:-1] = self.summed(*hits)
+
+    def hits(self, point, normal):
+        out = about(normal, self.random.random())
+        t, n, albedo, face = self.scene.hit((point + 1e-4 * normal)[:, None], out)
+        albedo = albedo * np.isfinite(t)
+        t = np.where(np.isfinite(t), t, 1.0)
+        direct, way = self.scene.lit(point[:, None] + t[..., None] * out, n, *self.light)
+        return t, albedo, np.where(albedo > 0, face.astype(int), -1), direct, way
+
+    def summed(self, t, albedo, face, direct, way):
+        place = self.place[face]
+        straight, over_others = albedo * direct, albedo * self.sent[place]
+        ways = (way + t) * straight + (self.way[place] + t) * over_others
+        sent = straight + over_others
+        return sent.mean(-1), ways.sum(-1) / np.maximum(sent.sum(-1), 1e-12)
+
+    def at(self, point, normal):
+        """Irradiance at points (n, 3), and the way from the light on it."""
+        return self.summed(*self.hits(point, normal))
 
 
 class Kinect:
     """What both cameras have: rays of the pixels, a light fixed to the camera, a lens that darkens towards the corners."""
 
-    def __init__(self, scene, args, low, high, random):
-        self.scene, self.args, self.low, self.high, self.random = scene, args, low, high, random
+    def __init__(self, scene, gathering, args, low, high, random):
+        self.scene, self.gathering, self.args, self.low, self.high, self.random = scene, gathering, args, low, high, random
         self.rays = rays(self.CAMERA)
         self.slant = np.linalg.norm(self.rays, axis=-1)
         self.lens = (1 + (self.rays[..., :2] ** 2).sum(-1)) ** (-0.5 * args.lens)
         self.gain = 1 + 0.005 * random.normal(size=self.slant.shape)
 
     def light_of_pixels(self, pose):
-        """Four points of every pixel: distance, whether there is a surface, its distance from the light, light that comes straight, light over one
-        other surface and the way of that."""
+        """Four points of every pixel: distance, whether there is a surface, its distance from the light, light that comes straight, light over
+        other surfaces and the way of that."""
         turn, at = pose[:3, :3], pose[:3, 3]
         light, axis = at + turn @ self.LIGHT, turn[:, 2]
+        self.gathering.lit_by(light, axis, self.args.lobe)
         height, width = self.slant.shape
         by_u, by_v = np.gradient(self.rays, axis=1), np.gradient(self.rays, axis=0)
         over_others, longer = None, None
         for du, dv in ((-GAUSS, -GAUSS), (GAUSS, -GAUSS), (-GAUSS, GAUSS), (GAUSS, GAUSS)):
             ray = unit(self.rays + du * by_u + dv * by_v) @ turn.T
-            t, normal, albedo = self.scene.hit(at, ray)
+            t, normal, albedo, _ = self.scene.hit(at, ray)
             seen = np.isfinite(t)
             t = np.where(seen, t, 5.0)
             point = at + t[..., None] * ray
@@ -152,12 +195,11 @@ class Kinect:
             if over_others is None:
                 every = (slice(None, None, COARSE),) * 2
                 shape = point[every].shape[:2]
-                coarse = gathered(self.scene, point[every].reshape(-1, 3), normal[every].reshape(-1, 3), light, axis, self.args.lobe, self.random)
+                coarse = self.gathering.at(point[every].reshape(-1, 3), normal[every].reshape(-1, 3))
                 over_others, longer = (np.kron(part.reshape(shape), np.ones((COARSE, COARSE)))[:height, :width] for part in coarse)
                 on_object = seen & ((point > self.low) & (point < self.high)).all(-1)
                 over_others, longer = gaussian_filter(over_others, 3), gaussian_filter(longer, 3)
-                over_others[on_object], longer[on_object] = gathered(
-                    self.scene, point[on_object], normal[on_object], light, axis, self.args.lobe, self.random)
+                over_others[on_object], longer[on_object] = self.gathering.at(point[on_object], normal[on_object])
             yield t, seen, far, np.where(seen, albedo * direct, 0), np.where(seen, albedo * over_others, 0), longer
 
     def observed(self, linear):
@@ -240,13 +282,13 @@ class KinectOne(Kinect):
         """Depth in metres, 0 where there is none."""
         turn, at = pose[:3, :3], pose[:3, 3]
         ray = self.rays / self.slant[..., None] @ turn.T
-        t, _, _ = self.scene.hit(at, ray)
+        t, _, _, _ = self.scene.hit(at, ray)
         seen = np.isfinite(t)
         z = np.where(seen, t, 9.0) / self.slant
         point = at + np.where(seen, t, 9.0)[..., None] * ray
         to_projector = at + turn @ [self.BASELINE_M, 0, 0] - point
         far = np.linalg.norm(to_projector, axis=-1)
-        shade, _, _ = self.scene.hit(point + 1e-3 * to_projector, to_projector / far[..., None])
+        shade, _, _, _ = self.scene.hit(point + 1e-3 * to_projector, to_projector / far[..., None])
         # Disparity is that of the window's nearer surface, as far as it has one.
         nearest = minimum_filter(z, 5)
         own = np.where(z - nearest < self.STEP_M, 1.0, 0.0)
@@ -289,6 +331,7 @@ def main():
     parser.add_argument("--lobe", type=float, help="power of the cosine by which the light falls; default: 0 and 1.5")
     parser.add_argument("--lens", type=float, help="power of the cosine by which the lens darkens; default: 1.5 and 2")
     parser.add_argument("--tremor", type=float, default=0.0, help="deviation of a hand's tremor, mm along each axis; default: none")
+    parser.add_argument("--bounces", type=int, default=7, help="over how many other surfaces light goes at most")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     kind_of_sensor = SENSORS[args.sensor]
@@ -299,7 +342,7 @@ def main():
     random = np.random.default_rng(args.seed)
     (v, f, albedo), kind = OBJECTS[args.object](random)
     scene = Scene(merged([(v, f, albedo), surroundings(random)]))
-    sensor = kind_of_sensor(scene, args, v.min(0) + [-0.01, -0.01, 0.0005], v.max(0) + 0.01, random)
+    sensor = kind_of_sensor(scene, Gathering(scene, len(f), args.bounces, random), args, v.min(0) + [-0.01, -0.01, 0.0005], v.max(0) + 0.01, random)
     for name in ("depth", "ir"):
         (args.out / name).mkdir(parents=True, exist_ok=False)
     poses = path(kind, args.frames, args.turns, (v.min(0) + v.max(0)) / 2, sensor.REACH_M, args.tremor, random)
