@@ -21,7 +21,7 @@ pub(super) struct EmitterStream {
     optics: Optics,
     params: SnapshotParams,
     pool: Pool,
-    last: Option<Placed>,
+    before: Before,
     rejected: Rejections,
     /// Whether the operator asked for the next good frame.
     is_requested: bool,
@@ -33,6 +33,17 @@ struct Candidate {
     view: ViewInformation,
     /// Whether the camera moved within the limits.
     is_sharp: bool,
+}
+
+/// What is known of the frame before.
+#[derive(Clone, Copy)]
+enum Before {
+    /// There was none: the camera is taken to be still.
+    None,
+    /// It was lost, and nothing is known of how fast the camera moved.
+    Lost,
+    /// Where the camera was.
+    At(Placed),
 }
 
 /// Where the camera was, and when.
@@ -48,7 +59,7 @@ impl EmitterStream {
             optics,
             pool: Pool::new(2 * params.max_snapshots),
             params,
-            last: None,
+            before: Before::None,
             rejected: Rejections::default(),
             is_requested: false,
         }
@@ -95,14 +106,14 @@ impl EmitterStream {
 
     pub(super) fn forget_after(&mut self, after_secs: f64) {
         self.pool.forget_after(after_secs);
-        self.last = None;
+        self.before = Before::None;
     }
 
     pub(super) fn correct(&mut self, correction: &PoseCorrection) {
         self.pool.correct(correction);
-        if let Some(last) = &mut self.last {
-            let moved = correction.apply(last.device_time_secs, &last.world_from_camera);
-            last.world_from_camera = moved;
+        if let Before::At(before) = &mut self.before {
+            let moved = correction.apply(before.device_time_secs, &before.world_from_camera);
+            before.world_from_camera = moved;
         }
     }
 
@@ -128,15 +139,18 @@ impl EmitterStream {
     /// The frame as a candidate; `Ok(None)` if it has no IR.
     fn judge(&mut self, tracked: &TrackedFrame) -> Result<Option<Candidate>, RejectReason> {
         let frame = tracked.frame;
-        let before = self.last;
-        if let TrackingOutcome::Tracked {
-            world_from_camera, ..
-        } = *tracked.outcome
-        {
-            self.last = Some(Placed {
-                world_from_camera,
-                device_time_secs: frame.device_time_secs,
-            });
+        let before = self.before;
+        match *tracked.outcome {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => {
+                self.before = Before::At(Placed {
+                    world_from_camera,
+                    device_time_secs: frame.device_time_secs,
+                });
+            }
+            TrackingOutcome::Lost(_) => self.before = Before::Lost,
+            TrackingOutcome::NoDepth => {}
         }
         let Some(ir) = &frame.ir else {
             return Ok(None);
@@ -156,8 +170,9 @@ impl EmitterStream {
         let view = view_information(&snapshot, model, &self.optics);
         let target = view.target_world.ok_or(RejectReason::NoInformation)?;
         let haste = match before {
-            Some(before) => self.haste(&before, &snapshot, &target)?,
-            None => 0.0,
+            Before::At(before) => self.haste(&before, &snapshot, &target)?,
+            Before::Lost => MAX_HASTE,
+            Before::None => 0.0,
         };
         if view.patches.is_empty() {
             return Err(RejectReason::NoInformation);
@@ -169,8 +184,7 @@ impl EmitterStream {
         }))
     }
 
-    /// How much faster than the limits the camera moved since the tracked frame before, over whatever time has passed; the first
-    /// frame has none and is taken to be still.
+    /// How much faster than the limits the camera moved since the tracked frame before, over whatever time has passed.
     fn haste(
         &self,
         before: &Placed,

@@ -1,7 +1,7 @@
 //! Tilted planes in closed form, and a simulated scan.
 
 use super::*;
-use crate::fusion::{DepthNoise, Fusion, FusionParams};
+use crate::fusion::{DepthNoise, Fusion, FusionParams, LossReason};
 use crate::geometry::{CameraModel, increment};
 use crate::snapshot::SnapshotSelector;
 use crate::snapshot::scenes::{self, Plane};
@@ -112,6 +112,26 @@ fn a_fast_image_is_used_until_a_slow_one_tells_the_same() {
     let soon = 1.0 / 30.0;
     assert_eq!(chosen_after(1, soon, beside, true), (vec![0, 1], true));
     assert_eq!(chosen_after(2, 1.0, beside, true), (vec![0, 2], false));
+}
+
+#[test]
+fn the_image_in_which_a_lost_camera_is_found_is_not_taken_for_a_sharp_one() {
+    let info = scenes::camera_info(Sensor::Kinect2);
+    let mut selector = SnapshotSelector::new(&info, SnapshotParams::default()).unwrap();
+    let plane = Plane::tilted(0.6, 0.3);
+    let here = Pose::identity();
+    observe(&mut selector, &plane, (0, 0.0), &here, 20_000);
+    let (snapshot, model) = scenes::view_of_plane(&plane, &here);
+    selector.observe(&TrackedFrame {
+        frame: &scenes::frame(1, 0.1, Some(snapshot.depth_m), None),
+        outcome: &TrackingOutcome::Lost(LossReason::FewInliers { inlier_share: 0.1 }),
+        model: Some(&model),
+    });
+    selector.request(true);
+    observe(&mut selector, &plane, (2, 1.0), &here, 20_000);
+    assert!(selector.is_requested(), "how fast it moved is not known");
+    observe(&mut selector, &plane, (3, 1.1), &here, 20_000);
+    assert!(!selector.is_requested());
 }
 
 #[test]
