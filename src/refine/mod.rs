@@ -106,8 +106,8 @@ pub struct ViewFit {
     pub shift_px: [f64; 2],
     /// Sites that the view saw.
     pub n_sites: usize,
-    /// Root mean square of observed less rendered linear intensity, relative to the mean observed one, on the base mesh with
-    /// poses from tracking.
+    /// Root mean square of observed less rendered linear intensity, relative to the mean observed one, on the coarsest mesh of the base
+    /// surface with poses from tracking.
     pub rmse_before: f64,
     /// The same on the refined mesh.
     pub rmse_after: f64,
