@@ -127,14 +127,9 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
 /// The recordings that a daemon which was killed left open. None is being written yet, so that those of new scans are not among
 /// them.
 fn abandoned_recordings(sessions: &Path) -> Vec<PathBuf> {
-    let is_abandoned = |path: &PathBuf| mcap_session::is_abandoned(path).unwrap_or(true);
-    match mcap_session::recordings_in(sessions) {
-        Ok(recordings) => recordings.into_iter().filter(is_abandoned).collect(),
-        Err(error) => {
-            tracing::warn!(%error, "recordings were not looked at");
-            Vec::new()
-        }
-    }
+    mcap_session::abandoned_in(sessions)
+        .inspect_err(|error| tracing::warn!(%error, "recordings were not looked at"))
+        .unwrap_or_default()
 }
 
 /// Mends recordings beside all else, on a thread that nobody waits for: a large one takes minutes, and a repair that is cut off is
@@ -149,12 +144,13 @@ fn mend_aside(recordings: Vec<PathBuf>) {
         if let Err(error) = idle_class::enter() {
             tracing::debug!(%error, "recordings are not mended in the idle class");
         }
-        for recording in &recordings {
+        // What was removed meanwhile is passed over.
+        for recording in recordings.iter().filter(|path| path.exists()) {
             mend(recording);
         }
     });
     if let Err(error) = mending {
-        tracing::warn!(%error, "recordings were not looked at");
+        tracing::warn!(%error, "recordings that were left open are not mended");
     }
 }
 

@@ -59,7 +59,7 @@ pub use open::{Session, content_hash, open_session};
 pub use params::{Dropped, Progress, RecordingParams};
 pub use reader::{MessageReader, Step};
 pub use remove::remove;
-pub use repair::{Repaired, SegmentRepair, is_abandoned, repair, repair_abandoned, repair_segment};
+pub use repair::{Repaired, SegmentRepair, abandoned_in, repair, repair_abandoned, repair_segment};
 pub use segment::{Segment, SegmentSummary};
 pub use session::{Counters, FILE_NAME as SESSION_FILE_NAME, RepairNote, SessionRecord, State};
 pub use verify::{FileReport, verify};

@@ -65,14 +65,22 @@ pub fn repair(folder: &Path) -> Result<Option<RepairNote>, RecordingError> {
 /// What the repair of a recording came to.
 pub type Repaired = (PathBuf, Result<Option<RepairNote>, RecordingError>);
 
-/// Mends all recordings in a folder and beneath it that were left open by a process that is gone, as a daemon does when it
-/// starts; each with what was found.
+/// All recordings in a folder and beneath it that were left open by a process that is gone, or cannot tell.
+///
+/// # Errors
+/// If the folder cannot be read.
+pub fn abandoned_in(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
+    let mut recordings = recordings_in(folder)?;
+    recordings.retain(|path| is_abandoned(path).unwrap_or(true));
+    Ok(recordings)
+}
+
+/// Mends those recordings, each with what was found.
 ///
 /// # Errors
 /// If the folder cannot be read.
 pub fn repair_abandoned(folder: &Path) -> Result<Vec<Repaired>, RecordingError> {
-    let recordings = recordings_in(folder)?.into_iter();
-    let abandoned = recordings.filter(|path| is_abandoned(path).unwrap_or(true));
+    let abandoned = abandoned_in(folder)?.into_iter();
     Ok(abandoned
         .map(|path| {
             let repaired = repair(&path);
@@ -95,7 +103,7 @@ pub(crate) fn repair_held(
 ///
 /// # Errors
 /// If its `session.json` cannot be read.
-pub fn is_abandoned(folder: &Path) -> Result<bool, RecordingError> {
+pub(crate) fn is_abandoned(folder: &Path) -> Result<bool, RecordingError> {
     let record = SessionRecord::read(folder)?;
     Ok(record.state == State::Open && !OpenLock::is_held(folder))
 }
