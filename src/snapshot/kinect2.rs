@@ -40,8 +40,8 @@ struct Candidate {
 enum Before {
     /// There was none: the camera is taken to be still.
     None,
-    /// It was lost, and nothing is known of how fast the camera moved.
-    Lost,
+    /// It was not tracked, or is forgotten: nothing is known of how fast the camera moved.
+    Untracked,
     /// Where the camera was.
     At(Placed),
 }
@@ -106,7 +106,7 @@ impl EmitterStream {
 
     pub(super) fn forget_after(&mut self, after_secs: f64) {
         self.pool.forget_after(after_secs);
-        self.before = Before::None;
+        self.before = Before::Untracked;
     }
 
     pub(super) fn correct(&mut self, correction: &PoseCorrection) {
@@ -149,8 +149,7 @@ impl EmitterStream {
                     device_time_secs: frame.device_time_secs,
                 });
             }
-            TrackingOutcome::Lost(_) => self.before = Before::Lost,
-            TrackingOutcome::NoDepth => {}
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth => self.before = Before::Untracked,
         }
         let Some(ir) = &frame.ir else {
             return Ok(None);
@@ -171,7 +170,7 @@ impl EmitterStream {
         let target = view.target_world.ok_or(RejectReason::NoInformation)?;
         let haste = match before {
             Before::At(before) => self.haste(&before, &snapshot, &target)?,
-            Before::Lost => MAX_HASTE,
+            Before::Untracked => MAX_HASTE,
             Before::None => 0.0,
         };
         if view.patches.is_empty() {

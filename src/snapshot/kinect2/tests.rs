@@ -122,16 +122,23 @@ fn the_image_in_which_a_lost_camera_is_found_is_not_taken_for_a_sharp_one() {
     let here = Pose::identity();
     observe(&mut selector, &plane, (0, 0.0), &here, 20_000);
     let (snapshot, model) = scenes::view_of_plane(&plane, &here);
-    selector.observe(&TrackedFrame {
-        frame: &scenes::frame(1, 0.1, Some(snapshot.depth_m), None),
-        outcome: &TrackingOutcome::Lost(LossReason::FewInliers { inlier_share: 0.1 }),
-        model: Some(&model),
-    });
-    selector.request(true);
-    observe(&mut selector, &plane, (2, 1.0), &here, 20_000);
-    assert!(selector.is_requested(), "how fast it moved is not known");
-    observe(&mut selector, &plane, (3, 1.1), &here, 20_000);
-    assert!(!selector.is_requested());
+    let few = LossReason::FewInliers { inlier_share: 0.1 };
+    for (frame_id, outcome) in [
+        (1, TrackingOutcome::Lost(few)),
+        (4, TrackingOutcome::NoDepth),
+    ] {
+        let at = |frames: u64| (frame_id + frames, 0.5 * (frame_id + frames) as f64);
+        selector.observe(&TrackedFrame {
+            frame: &scenes::frame(frame_id, at(0).1, Some(snapshot.depth_m.clone()), None),
+            outcome: &outcome,
+            model: Some(&model),
+        });
+        selector.request(true);
+        observe(&mut selector, &plane, at(1), &here, 20_000);
+        assert!(selector.is_requested(), "how fast it moved is not known");
+        observe(&mut selector, &plane, at(2), &here, 20_000);
+        assert!(!selector.is_requested());
+    }
 }
 
 #[test]
