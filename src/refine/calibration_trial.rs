@@ -10,7 +10,9 @@ use super::level::{Level, coarsest};
 use super::params::RefineParams;
 use super::preparation::{Subject, first_views, views_of};
 use super::rounds::Rounds;
-use super::self_calibration::{Contradiction, Told, Tolerance, told_by_images};
+use super::self_calibration::{
+    Contradiction, SelfCalibrationParams, Told, Tolerance, told_by_images,
+};
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
@@ -23,6 +25,8 @@ pub struct CalibrationTrial<'a> {
     pub subject: &'a Subject<'a>,
     /// Parameters.
     pub params: &'a RefineParams,
+    /// Mesh on which they are asked.
+    pub mesh: &'a TriMesh,
     /// The views that are asked, of all.
     pub asked: ViewSet,
     /// What is no contradiction yet.
@@ -30,19 +34,22 @@ pub struct CalibrationTrial<'a> {
 }
 
 impl CalibrationTrial<'_> {
-    /// What views say on a mesh of the calibration that they were made with, and of gloss.
-    pub fn ask(&self, mesh: &TriMesh, views: &[View]) -> Told {
-        let params = &self.params.self_calibration;
+    /// What views say of the calibration that they were made with, and of gloss.
+    pub fn ask(&self, views: &[View]) -> Told {
+        self.ask_with(&self.params.self_calibration, views)
+    }
+
+    fn ask_with(&self, params: &SelfCalibrationParams, views: &[View]) -> Told {
         if !params.enabled {
             return Told::default();
         }
-        let sites = Sites::new(SiteKind::Face, mesh, views, self.asked);
+        let sites = Sites::new(SiteKind::Face, self.mesh, views, self.asked);
         told_by_images(&sites, views, self.subject.optics, params, self.tolerance)
     }
 
-    /// Makes the views anew by what they told against the calibration, unless that leaves more slow gain on a level than what is
-    /// believed: then it is not told.
-    pub fn judge(&self, mut told: Told, level: &Level, mut views: Vec<View>) -> (Told, Vec<View>) {
+    /// Makes the views anew by what they told against the calibration, if that leaves less slow gain on a level than what is believed.
+    /// Else they are asked again with that.
+    pub fn judge(&self, told: Told, level: &Level, mut views: Vec<View>) -> (Told, Vec<View>) {
         let Some(Contradiction { calibration, .. }) = &told.contradiction else {
             return (told, views);
         };
@@ -57,18 +64,17 @@ impl CalibrationTrial<'_> {
         views = views_of(&relit, self.params);
         let found = self.slow_gain(level, &views, &gloss);
         tracing::info!(believed, found, "slow gain by either calibration");
-        let is_worse = believed
-            .zip(found)
-            .is_some_and(|(believed, found)| found > believed);
-        if is_worse {
-            views.clear();
-            views = views_of(self.subject, self.params);
-            told.contradiction = None;
+        let is_better = believed.zip(found);
+        if is_better.is_some_and(|(believed, found)| found < believed) {
+            return (told, views);
         }
-        (told, views)
+        views.clear();
+        views = views_of(self.subject, self.params);
+        let held = self.params.self_calibration.held();
+        (self.ask_with(&held, &views), views)
     }
 
-    /// Of the views that judge, on the albedo that the others tell; `None` where these see nothing.
+    /// Of the views that judge, on the albedo that the others tell; `None` where either see nothing.
     fn slow_gain(&self, level: &Level, views: &[View], gloss: &SiteGloss) -> Option<f64> {
         let judges = hold_out(self.asked);
         let (params, mesh) = (self.params, &level.mesh);
@@ -77,7 +83,7 @@ impl CalibrationTrial<'_> {
         let sites = sites.with_gloss(gloss.clone());
         let surface = Surface::of_base(mesh);
         let albedo = rounds.first_albedo(&surface, &sites, views)?;
-        Some(slow_gain(&rounds, mesh, &albedo, views, judges))
+        slow_gain(&rounds, mesh, &albedo, views, judges)
     }
 }
 
@@ -92,14 +98,83 @@ pub fn contradiction_as_tracked(
     let trial = CalibrationTrial {
         subject,
         params: &params.for_object(subject.object),
+        mesh: subject.object,
         asked: first_views(subject.snapshots.len()),
         tolerance: Tolerance::AS_TRACKED,
     };
     let views = views_of(subject, trial.params);
-    let told = trial.ask(subject.object, &views);
+    let told = trial.ask(&views);
     if told.contradiction.is_none() {
         return Ok(None);
     }
     let level = coarsest(subject.object, trial.params)?;
     Ok(trial.judge(told, &level, views).0.contradiction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::scenes::{RippledPlane, calibration, optics, poses_all_round, rays};
+    use super::*;
+    use crate::shading::Calibration;
+
+    const RIPPLED: RippledPlane = RippledPlane {
+        amplitude_m: 0.0004,
+    };
+
+    #[test]
+    fn what_leaves_more_slow_gain_than_what_is_believed_is_not_told() {
+        let (rays, truth) = (rays(), calibration());
+        let true_optics = optics(&rays, &truth);
+        let base = RippledPlane { amplitude_m: 0.0 }.mesh(0.0025);
+        let poses = poses_all_round();
+        let rendered = poses
+            .iter()
+            .map(|pose| RIPPLED.snapshot(&true_optics, pose));
+        let snapshots: Vec<_> = rendered.collect();
+        let params = RefineParams {
+            edge_length_m: 0.0025,
+            ..RefineParams::default()
+        };
+        let level = coarsest(&base, &params).expect("a surface");
+        let wrong = Calibration {
+            gamma: 0.8 * truth.gamma,
+            ..truth.clone()
+        };
+        for (believed, found, stands) in [(&truth, &wrong, false), (&wrong, &truth, true)] {
+            let subject_of = |optics| Subject {
+                scene: &base,
+                object: &base,
+                snapshots: &snapshots,
+                optics,
+            };
+            let optics = true_optics.with(believed);
+            let subject = subject_of(&optics);
+            let trial = CalibrationTrial {
+                subject: &subject,
+                params: &params,
+                mesh: &level.mesh,
+                asked: first_views(snapshots.len()),
+                tolerance: Tolerance::FINISHED,
+            };
+            let told = Told {
+                contradiction: Some(Contradiction {
+                    believed_gamma: believed.gamma,
+                    light_moved_m: 0.0,
+                    calibration: found.clone(),
+                }),
+                ..Told::default()
+            };
+            let (told, views) = trial.judge(told, &level, views_of(&subject, &params));
+            assert_eq!(told.contradiction.is_some(), stands);
+            let holds = true_optics.with(&truth);
+            let expected = views_of(&subject_of(&holds), &params);
+            let linear = |view: &View| -> Vec<u32> {
+                let values = view.linear().value.data().iter();
+                values.map(|value| value.to_bits()).collect()
+            };
+            for (view, expected) in views.iter().zip(&expected) {
+                assert!(linear(view) == linear(expected), "by another calibration");
+            }
+        }
+    }
 }

@@ -144,14 +144,15 @@ pub fn judge(
         .collect()
 }
 
-/// Root mean square of the gains, less 1, by which a set of views differs slowly in brightness from a mesh with its albedo.
+/// Root mean square of the gains, less 1, by which a set of views differs slowly in brightness from a mesh with its albedo; `None`
+/// where they show nothing of it.
 pub fn slow_gain(
     rounds: &Rounds,
     mesh: &TriMesh,
     albedo: &Albedo,
     views: &[View],
     judges: ViewSet,
-) -> f64 {
+) -> Option<f64> {
     let surface = rounds.unseen(mesh, albedo);
     let judging = views.par_iter().with_max_len(1).enumerate();
     let judging = judging.filter(|(view, _)| judges >> view & 1 == 1);
@@ -161,8 +162,8 @@ pub fn slow_gain(
         Sums::over(&view, &rendered, &rendered)
     });
     let sums: Vec<Sums> = sums.collect();
-    let total = sums.iter().fold(Sums::default(), Sums::plus);
-    total.means().slow_gain
+    let total = sums.iter().fold(Sums::default(), Sums::plus).means();
+    (total.n_pixels > 0).then_some(total.slow_gain)
 }
 
 fn settle_and_render(rounds: &Rounds, surface: &UnseenSurface, view: &mut View) -> Image<f32> {

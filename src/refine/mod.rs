@@ -269,7 +269,7 @@ pub fn validate(
     judged_by(subject, params, set(learning), set(judges))
 }
 
-/// Those that judge tell nothing, not even of the calibration.
+/// Those that judge tell nothing, not even of response, light and gloss.
 fn judged_by(
     subject: &Subject,
     params: &RefineParams,

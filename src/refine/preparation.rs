@@ -88,10 +88,11 @@ impl Preparation {
         let trial = CalibrationTrial {
             subject,
             params: &params,
+            mesh: &levels[asked].mesh,
             asked: learning,
             tolerance: Tolerance::FINISHED,
         };
-        let told = trial.ask(&levels[asked].mesh, &views);
+        let told = trial.ask(&views);
         let (told, views) = trial.judge(told, &levels[0], views);
         let mesh = &levels[0].mesh;
         let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()))

@@ -38,6 +38,19 @@ pub struct SelfCalibrationParams {
     pub lobe_sigma: f64,
 }
 
+impl SelfCalibrationParams {
+    /// The same with response and light held as they are believed.
+    pub fn held(&self) -> Self {
+        const HELD: f64 = 1e-6;
+        SelfCalibrationParams {
+            gamma_sigma: HELD,
+            light_sigma_m: HELD,
+            lobe_sigma: HELD,
+            ..self.clone()
+        }
+    }
+}
+
 impl Default for SelfCalibrationParams {
     fn default() -> Self {
         SelfCalibrationParams {
@@ -126,7 +139,7 @@ pub struct Told {
     pub contradiction: Option<Contradiction>,
     /// Of the surface.
     pub gloss: Gloss,
-    /// Share of the light that comes over other surfaces.
+    /// Share of the light that comes over other surfaces; 0 where nothing explains the images.
     pub indirect_share: f64,
 }
 
@@ -188,7 +201,7 @@ pub fn told_by_images(
             calibration,
         }),
         gloss,
-        indirect_share: *indirect_share,
+        indirect_share: if is_explained { *indirect_share } else { 0.0 },
     }
 }
 

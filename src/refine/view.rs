@@ -45,7 +45,7 @@ pub struct ImageTrust {
     pub gain_cell_m: f64,
     /// Root mean square of those differences from which on the light model is not believed at all: 0.010 to 0.019 where it
     /// fits, 0.042 with gamma 0.5 for 0.87, 0.074 with the light 0.2 m off. Gamma 1.4 for 0.87 gives 0.016 and is not found.
-    /// A quarter of the share of light that comes over other surfaces is allowed beside it.
+    /// A quarter of the share of light that comes over other surfaces, as self-calibration finds it, is added as squares are.
     pub max_slow_gain: f64,
 }
 

@@ -126,3 +126,27 @@ fn gloss_is_told_from_gamma() {
         );
     }
 }
+
+#[test]
+fn no_number_of_patches_tells_better_than_the_model_holds() {
+    let (rays, truth) = (rays(), calibration());
+    let optics = optics(&rays, &truth);
+    let poses = poses_all_round();
+    let rendered = poses.iter().map(|pose| RIPPLED.snapshot(&optics, pose));
+    let base = FLAT.mesh(0.0015);
+    let views = views_of(&rendered.collect::<Vec<_>>(), &base, &optics);
+    let sites = Sites::new(SiteKind::Face, &base, &views, ViewSet::MAX);
+    let start = start(&optics, views.len(), &[Gloss::default()]);
+    let sigmas = |times: f64| {
+        let mut patches = LitPatch::all(&sites, &views, &optics, &[]);
+        patches.iter_mut().for_each(|patch| patch.share *= times);
+        let params = SelfCalibrationParams::default();
+        let fit = fit(&mut patches, &start, &params, &[MATTE_SIGMA]).expect("it fits");
+        (fit.sigmas[0], fit.sigmas_with_model[0])
+    };
+    let (many, many_with_model) = sigmas(1e3);
+    let (more, more_with_model) = sigmas(1e4);
+    assert!(more < 0.7 * many, "{more} after {many}");
+    let left = more_with_model / many_with_model;
+    assert!(left > 0.95, "{more_with_model} after {many_with_model}");
+}
