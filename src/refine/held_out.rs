@@ -104,9 +104,9 @@ pub fn hold_out(set: ViewSet) -> ViewSet {
     held_out.fold(0, |held_out, view| held_out | 1 << view)
 }
 
-/// Every so many-th view from the first.
+/// Every so many-th view from the first, of as many as a set can hold.
 pub fn every(first: usize, step: usize, n_views: usize) -> ViewSet {
-    (first..n_views)
+    (first..n_views.min(ViewSet::BITS as usize))
         .step_by(step)
         .fold(0, |set, view| set | 1 << view)
 }
@@ -285,6 +285,7 @@ mod tests {
         assert_eq!(of_first(2), 0b10);
         assert_eq!(of_first(8), 0b10_0010);
         assert_eq!(hold_out(0b1110_1110), 0b1000_0100);
+        assert_eq!(every(130, 1, 132), 0, "no set holds them");
         for n_views in 2..=64 {
             let share = f64::from(of_first(n_views).count_ones()) / n_views as f64;
             assert!((0.2..=0.5).contains(&share), "{share} of {n_views}");

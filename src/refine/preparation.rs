@@ -4,7 +4,7 @@ use super::MAX_VIEWS;
 use super::albedo::{Albedo, labels_by_face};
 use super::calibration_trial::CalibrationTrial;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
-use super::held_out::{JudgedView, judge};
+use super::held_out::{JudgedView, every, judge};
 use super::level::{Level, levels};
 use super::observations::Observations;
 use super::optics::Optics;
@@ -351,7 +351,7 @@ fn plausible_white(views: &[View]) -> Option<WhiteLevel> {
 
 /// The first so many views.
 pub fn first_views(n_views: usize) -> ViewSet {
-    (0..n_views).fold(0, |set, view| set | 1 << view)
+    every(0, 1, n_views)
 }
 
 fn check_manifold(object: &TriMesh) -> Result<(), RefineError> {
