@@ -180,6 +180,31 @@ mod tests {
     }
 
     #[test]
+    fn a_floor_that_the_object_encloses_is_of_it_and_the_table_in_a_ring_is_not() {
+        let object = |floor_height_m: f64, gap_m: f64| {
+            let mut scene = square(-0.2, 0.6, 40);
+            for vertex in &mut scene.vertices {
+                vertex.z -= match vertex.x.hypot(vertex.y - 0.2) {
+                    r if r < 0.045 => floor_height_m,
+                    r if r < 0.105 => 0.05,
+                    _ => 0.0,
+                };
+            }
+            let is_gap =
+                |p: &Point3<f64>| gap_m > 0.0 && (p.x.hypot(p.y - 0.2) - 0.04).abs() < gap_m;
+            let scene = scene.filter_faces(|face| !scene.corners(face).iter().all(is_gap));
+            let above = Pose::translation(0.0, 0.2, 0.0);
+            Crop::Object.object(&scene, &[above]).unwrap().area_m2()
+        };
+        let ring = object(0.0, 0.0);
+        let with_floor = object(0.004, 0.0);
+        // The floor and the inner wall of the ring, which reaches down to it.
+        assert!(with_floor > ring + 0.006, "{with_floor} for {ring}");
+        // What a shadow parts from the object is not enclosed by it.
+        assert!((object(0.004, 0.015) - ring).abs() < 1e-9);
+    }
+
+    #[test]
     fn bad_boxes_are_named() {
         let bad = ObjectParams {
             crop: Crop::Box([0.0, 0.0, 0.5, 1.0, 1.0, 0.5]),

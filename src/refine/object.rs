@@ -1,7 +1,7 @@
 //! Which part of a base mesh is the object: what stands above the dominant plane where the cameras looked, with the parts
 //! that touch it; or what lies in a box.
 
-use crate::geometry::{Pose, TriMesh};
+use crate::geometry::{EdgeAdjacency, Pose, TriMesh};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::cmp::Ordering;
@@ -40,6 +40,10 @@ const PLANE_MIN_COSINE: f64 = 0.94;
 const PLANE_MIN_SHARE: f64 = 0.15;
 /// What is lower than this above the plane is the plane, metres.
 const STAND_OFF_M: f64 = 0.006;
+/// ... unless the object encloses it, at so much of its border, and it lies higher than this above the plane in the mean,
+/// metres: the floor of a bowl does; the table within a ring lies lower, and what lies apart in shadows has a border of its own.
+const FLOOR_MIN_ENCLOSED: f64 = 0.9;
+const FLOOR_MIN_HEIGHT_M: f64 = 0.002;
 /// Parts nearer to each other than this touch, metres; leaves of a plant leave gaps of a few voxels.
 const TOUCH_M: f64 = 0.008;
 /// Smaller parts are noise, m²; arbitrary.
@@ -59,27 +63,97 @@ pub fn select_roi(mesh: &TriMesh, roi: &Roi) -> TriMesh {
 /// The object that the cameras looked at, and the plane it stands on, if there is one; the mesh is empty if nothing is left.
 pub fn select_object(mesh: &TriMesh, world_from_cameras: &[Pose]) -> (TriMesh, Option<Plane>) {
     let plane = dominant_plane(mesh);
-    let standing = match &plane {
-        None => mesh.clone(),
-        Some(plane) => {
-            let high: Vec<bool> = mesh
-                .vertices
-                .iter()
-                .map(|vertex| plane.height_m(vertex) > STAND_OFF_M)
-                .collect();
-            mesh.filter_faces(|face| mesh.faces[face].iter().all(|&vertex| high[vertex as usize]))
-        }
+    let stands = |vertex: &Point3<f64>| {
+        let height_m = plane.as_ref().map(|plane| plane.height_m(vertex));
+        height_m.is_none_or(|height_m| height_m > STAND_OFF_M)
     };
+    let vertex_stands: Vec<bool> = mesh.vertices.iter().map(stands).collect();
+    let face_stands = |face: usize| {
+        mesh.faces[face]
+            .iter()
+            .all(|&at| vertex_stands[at as usize])
+    };
+    let (high, low): (Vec<usize>, Vec<usize>) =
+        (0..mesh.faces.len()).partition(|&face| face_stands(face));
+    let standing = mesh.filter_faces(face_stands);
     let (labels, n_parts) = standing.face_components();
     let parts = measure_parts(&standing, &labels, n_parts, world_from_cameras);
     let Some(main) = (0..n_parts).max_by(|&a, &b| parts[a].compare(&parts[b])) else {
         return (TriMesh::default(), plane);
     };
     let kept = touching_parts(&standing, &labels, &parts, main);
-    (
-        standing.filter_faces(|face| kept[labels[face] as usize]),
-        plane,
-    )
+    let mut is_object = vec![false; mesh.faces.len()];
+    for (&face, &label) in high.iter().zip(&labels) {
+        is_object[face] = kept[label as usize];
+    }
+    if let Some(plane) = &plane {
+        for face in floors(mesh, &low, &is_object, plane) {
+            is_object[face] = true;
+        }
+    }
+    (mesh.filter_faces(|face| is_object[face]), plane)
+}
+
+/// Those of the `low` faces that the object encloses and that lie clearly above the plane, such as the floor of a bowl.
+fn floors(mesh: &TriMesh, low: &[usize], is_object: &[bool], plane: &Plane) -> Vec<usize> {
+    let mut of_object = vec![false; mesh.vertices.len()];
+    for (corners, _) in mesh.faces.iter().zip(is_object).filter(|(_, is)| **is) {
+        corners.iter().for_each(|&at| of_object[at as usize] = true);
+    }
+    let below = TriMesh {
+        vertices: mesh.vertices.clone(),
+        faces: low.iter().map(|&face| mesh.faces[face]).collect(),
+    };
+    let (labels, n_parts) = below.face_components();
+    // Walls go up from the floor: of the faces that reach higher only the corners that do not are of it.
+    let (mut n_corners, mut sum_of_heights_m) = (vec![0_u32; n_parts], vec![0.0; n_parts]);
+    for (corners, &label) in below.faces.iter().zip(&labels) {
+        for &at in corners {
+            let height_m = plane.height_m(&below.vertices[at as usize]);
+            if height_m <= STAND_OFF_M {
+                n_corners[label as usize] += 1;
+                sum_of_heights_m[label as usize] += height_m;
+            }
+        }
+    }
+    let is_raised = |label: u32| {
+        let n_corners = f64::from(n_corners[label as usize]);
+        sum_of_heights_m[label as usize] > FLOOR_MIN_HEIGHT_M * n_corners
+    };
+    let raised = TriMesh {
+        faces: (below.faces.iter().zip(&labels))
+            .filter(|(_, label)| is_raised(**label))
+            .map(|(corners, _)| *corners)
+            .collect(),
+        ..below
+    };
+    let mut part_of = vec![0; mesh.vertices.len()];
+    for (face, &label) in low.iter().zip(&labels) {
+        mesh.faces[*face]
+            .iter()
+            .for_each(|&at| part_of[at as usize] = label as usize);
+    }
+    let (mut n_border, mut n_enclosed) = (vec![0_u32; n_parts], vec![0_u32; n_parts]);
+    let edges = EdgeAdjacency::new(&raised);
+    for (&[p, q], &n_faces) in edges.edges.iter().zip(&edges.n_faces) {
+        if n_faces == 1 {
+            let part = part_of[p as usize];
+            n_border[part] += 1;
+            n_enclosed[part] += u32::from(of_object[p as usize] && of_object[q as usize]);
+        }
+    }
+    let is_floor = |label: u32| {
+        let enclosed = f64::from(n_enclosed[label as usize]);
+        // A part without any border has nothing to do with the object.
+        is_raised(label)
+            && enclosed > 0.0
+            && enclosed >= FLOOR_MIN_ENCLOSED * f64::from(n_border[label as usize])
+    };
+    let of_floors = low
+        .iter()
+        .zip(&labels)
+        .filter(|(_, label)| is_floor(**label));
+    of_floors.map(|(&face, _)| face).collect()
 }
 
 #[derive(Clone, Copy, Default)]
