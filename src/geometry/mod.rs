@@ -30,6 +30,8 @@ pub use manifold::{Manifold, border_loops, cut_to_manifold};
 pub use mesh::{EdgeAdjacency, TriMesh, area_vector};
 pub use patch::{DepthPatch, PixelSquare};
 pub use point_grid::PointGrid;
-pub use pose::{Motion, Pose, between, increment, increment_about, mean_pose, motion_between};
+pub use pose::{
+    Motion, Pose, between, increment, increment_about, mean_pose, motion_between, path_length_m,
+};
 pub use rasterise::{DepthBuffer, rasterise};
 pub use watertight::{Watertight, close_holes};

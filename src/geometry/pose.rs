@@ -46,6 +46,17 @@ pub fn motion_between(world_from_a: &Pose, world_from_b: &Pose) -> Motion {
     }
 }
 
+/// The length of the way over the origins of poses, one after another, metres.
+pub fn path_length_m<'a>(world_from_cameras: impl IntoIterator<Item = &'a Pose>) -> f64 {
+    let mut origins = world_from_cameras
+        .into_iter()
+        .map(|pose| pose.translation.vector);
+    let mut previous = origins.next().unwrap_or_default();
+    origins
+        .map(|origin| (origin - std::mem::replace(&mut previous, origin)).norm())
+        .sum()
+}
+
 /// The pose halfway between two poses.
 pub fn mean_pose(a: &Pose, b: &Pose) -> Pose {
     between(a, b, 0.5)

@@ -29,7 +29,7 @@ use super::{
 use crate::{
     export::StageTiming,
     fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics},
-    geometry::{CameraModel, Pose, TriMesh},
+    geometry::{CameraModel, Pose, TriMesh, path_length_m},
     refine::{Crop, Roi, select_roi},
     snapshot::{SnapshotParams, SnapshotSelection, SnapshotSelector},
 };
@@ -199,6 +199,7 @@ pub fn send(scan: FusedScan, scans: &Sender<Arc<FusedScan>>) -> FusionSummary {
     let _ = scans.send(scan.clone());
     FusionSummary {
         n_fused: scan.world_from_cameras.len() as u64,
+        path_length_m: path_length_m(&scan.world_from_cameras),
         scan: Some(scan),
         ..FusionSummary::default()
     }

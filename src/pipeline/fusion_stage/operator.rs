@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     capture::EventKind,
-    geometry::motion_between,
+    geometry::path_length_m,
     pipeline::{
         command::Command,
         state::State,
@@ -181,11 +181,7 @@ impl FusionStage {
 
     /// Measures the path of the camera as it is known now.
     pub(super) fn measure_path(&mut self) {
-        self.summary.path_length_m = self
-            .trajectory
-            .windows(2)
-            .map(|pair| motion_between(&pair[0].1, &pair[1].1).translation_m)
-            .sum();
+        self.summary.path_length_m = path_length_m(self.trajectory.iter().map(|(_, pose)| pose));
     }
 
     fn write_interim(&mut self) {
