@@ -7,6 +7,8 @@ import { DESKTOP, PHONE, assertClean, changes, count, differing, holdBack, launc
 import { standIn } from './stand_in.mjs';
 
 const DAEMON = process.env.RELIEF_PAGE_URL;
+/** As long as one may be. */
+const LABEL = 'a name of a scan '.repeat(12).slice(0, 200).trim();
 const NEEDS_STAND_IN = DAEMON ? 'needs the stand-in' : false;
 const SCANNING = ['tracking', 'degraded'];
 const STAGE = '[data-testid=stage]';
@@ -233,6 +235,132 @@ test('keeps scans apart, and refinements of one', { timeout: 300_000, skip: NEED
   assertClean(opened);
 });
 
+test('goes by the last good scan, and tells of one that failed', { timeout: 300_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const server = await standIn();
+  t.after(() => server.close());
+  const opened = await openPage(t, browser, server.base);
+  const { page } = opened;
+  const press = (name) => page.getByTestId(name).click();
+  const compared = ({ id }) => page.locator(`${STAGE}[data-mode=compare][data-compared="${id}"]`).waitFor({ timeout: 60_000 });
+  const asked = () => page.waitForRequest(/\/sessions\/[^/]+\/refine$/);
+  const { sessions } = server.daemon;
+  let whole;
+
+  await t.test('compares what was refined on the way, and then the whole', async () => {
+    await page.getByTestId('label').fill('bowl');
+    await press('start');
+    await page.locator('#snapshot-list img').first().waitFor();
+    const { id } = server.daemon.scan;
+    await press('refine');
+    await page.locator('#refinement[data-state=done]').waitFor({ timeout: 60_000 });
+    await page.locator('#mode-compare:enabled').click();
+    await compared(sessions[0]);
+    await page.locator('#mode-live').click();
+    await press('stop');
+    await state(page, 'idle');
+    whole = sessions.find((session) => session.id === id);
+    assert.equal(sessions[0].interim_of, id);
+    assert.ok(sessions[0].id > id, 'its name is younger');
+    await page.locator('#refinement[data-state=running]').waitFor();
+    await page.locator('#refinement[data-state=done]').waitFor({ timeout: 60_000 });
+    await page.locator('#mode-compare:enabled').click();
+    await compared(whole);
+    await press('export');
+    const options = page.getByTestId('export-session').locator('option');
+    assert.deepEqual(await options.allInnerTexts(), [`bowl (${id})`, `bowl (${sessions[0].id}), on the way`]);
+    await page.keyboard.press('Escape');
+  });
+
+  await t.test('refines the whole again', async () => {
+    const [request] = await Promise.all([asked(), press('refine')]);
+    assert.ok(request.url().includes(whole.id));
+    await page.locator('#refinement[data-state=running]').waitFor();
+    await page.locator('#refinement[data-state=done]').waitFor({ timeout: 60_000 });
+  });
+
+  await t.test('tells of a scan without a frame, and goes on with the good one', async () => {
+    await page.getByTestId('label').fill('nothing');
+    await press('start');
+    await state(page, ...SCANNING);
+    await press('pause');
+    await state(page, 'paused');
+    await press('reset');
+    await press('confirm-yes');
+    await press('stop');
+    const toast = page.locator('[data-testid=toast][data-code=scan_failed]');
+    await toast.waitFor({ timeout: 60_000 });
+    assert.equal(await toast.innerText(), 'The scan “nothing” failed: no frame could be fused');
+    await state(page, 'idle');
+    const [request] = await Promise.all([asked(), press('refine')]);
+    assert.ok(request.url().includes(whole.id));
+  });
+
+  await t.test('tells of what was taken on and refused later', async () => {
+    const reason = 'the frames before are not kept';
+    server.say('loss', { frame_id: 5, device_time_secs: 0.2, event: 'found' });
+    server.say('loss', { frame_id: 7, device_time_secs: 0.3, event: 'refused', command: 'undo', reason });
+    const toast = page.locator('[data-testid=toast][data-code=refused_undo]');
+    await toast.waitFor();
+    assert.equal(await toast.innerText(), `Nothing is taken back: ${reason}`);
+  });
+
+  await t.test('follows what happens only while it is looked at', async () => {
+    const look = async (isHidden, n) => {
+      await page.evaluate((hidden) => {
+        Object.defineProperty(document, 'hidden', { value: hidden, configurable: true });
+        document.dispatchEvent(new Event('visibilitychange'));
+      }, isHidden);
+      for (let i = 0; i < 50 && server.nStreams !== n; i += 1) await page.waitForTimeout(100);
+      assert.equal(server.nStreams, n);
+    };
+    assert.equal(server.nStreams, 1);
+    await look(true, 0);
+    await look(false, 1);
+  });
+
+  assertClean(opened);
+});
+
+test('goes on where something cannot be written', { timeout: 60_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const server = await standIn();
+  t.after(() => server.close());
+  const { page } = await openPage(t, browser, server.base);
+  await page.getByTestId('start').click();
+  await state(page, ...SCANNING);
+  server.daemon.hasStorageFailed = true;
+  await state(page, 'fault');
+  for (const name of ['pause', 'snapshot', 'undo', 'reset', 'stop']) assert.ok(await page.getByTestId(name).isEnabled(), name);
+  await page.getByTestId('pause').click();
+  await state(page, 'paused');
+  await page.getByTestId('resume').click();
+  await state(page, 'fault');
+});
+
+test('has every button in reach at any width', { timeout: 120_000 }, async (t) => {
+  const opened = await openPage(t, browser, base, { viewport: { width: 1024, height: 768 } });
+  const { page } = opened;
+  await page.getByTestId('label').fill(LABEL);
+  await page.getByTestId('start').click();
+  await state(page, ...SCANNING);
+  assert.ok((await page.getByTestId('device').getAttribute('title')).startsWith(`${LABEL} · Kinect`));
+  for (const width of [901, 920, 1024, 1100, 1240, 1241, 1280]) {
+    await page.setViewportSize({ width, height: 768 });
+    const covered = await page.locator('.toolbar button:not([hidden])').evaluateAll((buttons) => buttons.filter((button) => {
+      const { left, right, top, bottom } = button.getBoundingClientRect();
+      const isAt = (x, y) => button.contains(document.elementFromPoint(x, y));
+      const y = (top + bottom) / 2;
+      return !isAt(left + 3, y) || !isAt((left + right) / 2, y) || !isAt(right - 3, y) || button.scrollWidth > button.clientWidth;
+    }).map(({ id }) => id));
+    assert.deepEqual(covered, [], `at ${width}`);
+    const advice = await page.locator('.state > div').boundingBox();
+    assert.ok(advice.width > 200, `the advice has room at ${width}`);
+    if (width === 1024) await save(page, 'tablet');
+  }
+  await page.getByTestId('stop').click();
+  await state(page, 'idle');
+  assertClean(opened);
+});
+
 test('a reset is asked about, and begins anew', { timeout: 120_000 }, async (t) => {
   const opened = await openPage(t, browser, base);
   const { page } = opened;
@@ -316,12 +444,17 @@ test('draws again after the graphics were lost', { timeout: 60_000 }, async (t) 
 test('says when the daemon is gone, and comes back with it', { timeout: 60_000, skip: NEEDS_STAND_IN }, async (t) => {
   const first = await standIn();
   const { page } = await openPage(t, browser, first.base);
+  await page.getByTestId('start').click();
+  await state(page, ...SCANNING);
+  const { id, started } = first.daemon.scan;
   await first.close();
   const banner = page.getByTestId('connection-banner');
   await banner.getByText('Connection lost').waitFor();
   assert.ok(await page.getByTestId('start').isDisabled());
   const second = await standIn({ port: first.port });
+  second.daemon.sessions.push({ id, label: null, interim_of: null, started_unix_ms: started, ended_unix_ms: null, state: 'interrupted', failures: [], files: [] });
   await banner.waitFor({ state: 'hidden', timeout: 30_000 });
+  await page.locator('[data-testid=toast][data-code=scan_interrupted]').getByText(id).waitFor();
   assert.ok(await page.getByTestId('start').isEnabled());
   await second.close();
 });

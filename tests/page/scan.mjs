@@ -17,6 +17,7 @@ const ADVICE = {
   relocalising: 'A place was recognised: hold still for a moment.',
   paused: 'The scan is paused: resume when the camera sees the object again.',
   snapshotting: 'Hold still until the picture is taken.',
+  fault: 'Free room on the disk or end the scan.',
   draining: 'The scan has ended: its meshes are being written.',
 };
 
@@ -34,10 +35,14 @@ export class Refused extends Error {
 
 export class StandInDaemon {
   sessions = [];
+  /** Refinements, newest first. */
+  jobs = [];
+  /** Whether something of the scan cannot be written. */
+  hasStorageFailed = false;
   #scan = null;
   /** How often each scan was refined, by its id; every time its mesh shows more. */
   refinements = new Map();
-  #refinement = { state: 'none', started: 0, session: null };
+  #refinement = { state: 'none', started: 0, session: null, job: null };
   /** Scans that are refined next. */
   #waiting = [];
   #sensor;
@@ -53,7 +58,7 @@ export class StandInDaemon {
 
   start(label) {
     if (this.#scan) throw new Refused('already_scanning', 'a scan is going on');
-    const id = `${new Date().toISOString().replace(/[-:]|\.\d+/g, '')}-${(this.sessions.length + 0x4f2a).toString(16)}`;
+    const id = this.#newId();
     this.#scan = { id, label, started: Date.now(), secs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0 };
     return id;
   }
@@ -67,15 +72,25 @@ export class StandInDaemon {
     } else if (name === 'resume') scan.isPaused = false;
     else if (name === 'snapshot') this.#snapshot(true);
     else if (name === 'undo') scan.secs = Math.max(0, scan.secs - 1.5);
+    else if (name === 'refine') this.#writeInterim();
     else if (name === 'reset') Object.assign(scan, { secs: 0, snapshots: [], mesh: null, revisionsBefore: this.mesh?.revision ?? 0 });
     else if (name === 'finish') scan.drainUntil = Date.now() + 1500;
     else if (name === 'abandon') this.#scan = null;
-    else if (name !== 'refine') throw new Refused('unknown_command', `there is no command ${name}`);
+    else throw new Refused('unknown_command', `there is no command ${name}`);
   }
 
   refine(session) {
-    if (this.#refinement.state === 'running') this.#waiting.push(session);
-    else this.#refinement = { state: 'running', started: Date.now(), session };
+    if (!session.files.some(({ name }) => name === 'base.ply')) throw new Refused('not_refinable', 'there is no base.ply');
+    const job = { id: `job-${session.id}`, scan: session.id, submitted_unix_ms: Date.now(), state: 'waiting' };
+    this.jobs.unshift(job);
+    this.#waiting.push({ session, job });
+    if (this.#refinement.state !== 'running') this.#refineNext();
+  }
+
+  #refineNext() {
+    const { session, job } = this.#waiting.shift();
+    job.state = 'running';
+    this.#refinement = { state: 'running', started: Date.now(), session, job };
   }
 
   cancel() {
@@ -106,14 +121,39 @@ export class StandInDaemon {
 
   #endRefinement(state) {
     this.#refinement.state = state;
-    if (this.#waiting.length > 0) this.refine(this.#waiting.shift());
+    this.#refinement.job.state = state;
+    if (this.#waiting.length > 0) this.#refineNext();
   }
 
   #finish() {
-    const session = { id: this.#scan.id, label: this.#scan.label, started_unix_ms: this.#scan.started, files: [...SCANNED_FILES] };
+    const { id, secs } = this.#scan;
+    const hasMesh = secs > 0;
+    const session = this.#session(id, {
+      state: hasMesh ? 'complete' : 'failed', failures: hasMesh ? [] : ['no frame could be fused'],
+      files: hasMesh ? [...SCANNED_FILES] : SCANNED_FILES.filter(({ name }) => name !== 'base.ply'),
+    });
     this.sessions.push(session);
     this.#scan = null;
+    if (hasMesh) this.refine(session);
+  }
+
+  /** What there is so far, as a session of its own, whose name is younger than the scan's. */
+  #writeInterim() {
+    const session = this.#session(this.#newId(), { interim_of: this.#scan.id });
+    this.sessions.push(session);
     this.refine(session);
+  }
+
+  #session(id, more) {
+    const { label, started } = this.#scan;
+    return {
+      id, label, interim_of: null, started_unix_ms: started, ended_unix_ms: Date.now(), state: 'complete', failures: [],
+      files: [...SCANNED_FILES], ...more,
+    };
+  }
+
+  #newId() {
+    return `${new Date().toISOString().replace(/[-:]|\.\d+/g, '')}-${(this.sessions.length + 0x4f2a).toString(16)}`;
   }
 
   #snapshot(isAccepted) {
@@ -149,6 +189,7 @@ export class StandInDaemon {
     if (scan.secs < 0.6) return 'warming';
     if (scan.secs > LOSS.relocalising && scan.secs < LOSS.found) return 'relocalising';
     if (scan.secs > LOSS.lost && scan.secs < LOSS.found) return 'lost';
+    if (this.hasStorageFailed) return 'fault';
     if (Date.now() < scan.snapshotUntil) return 'snapshotting';
     return scan.secs > LOSS.weak && scan.secs < LOSS.lost ? 'degraded' : 'tracking';
   }
@@ -182,11 +223,11 @@ export class StandInDaemon {
   }
 
   get #refinementStatus() {
-    const { state, started, session } = this.#refinement;
+    const { state, started, session, job } = this.#refinement;
     const share = Math.min(1, (Date.now() - started) / 1000 / REFINE_SECS);
     const isKnown = state === 'running' || state === 'done';
     return {
-      state, job: session ? `job-${session.id}` : null, scan: session?.id ?? null, round: isKnown ? [Math.min(4, 1 + Math.floor(4 * share)), 4] : [0, 0], step: isKnown ? Math.floor(28 * share) % 8 : 0,
+      state, job: job?.id ?? null, scan: session?.id ?? null, round: isKnown ? [Math.min(4, 1 + Math.floor(4 * share)), 4] : [0, 0], step: isKnown ? Math.floor(28 * share) % 8 : 0,
       energy_share: isKnown ? 1 - 0.62 * share : null, rmse: state === 'done' ? 0.0182 : null, secs_left: state === 'running' ? REFINE_SECS * (1 - share) : null, message: null,
     };
   }
@@ -199,7 +240,7 @@ export class StandInDaemon {
     const produced = this.frameId;
     const dropped = Math.floor((produced - paused) / 90);
     const inFlight = produced > 2 ? 2 : 0;
-    const reasons = { degraded: 'too_fast', lost: 'too_fast' };
+    const reasons = { degraded: 'too_fast', lost: 'too_fast', fault: 'storage_failed' };
     const accepted = scan?.snapshots.filter((snapshot) => snapshot.accepted).length ?? 0;
     return {
       state, reason: reasons[state] ?? null, advice: ADVICE[state],

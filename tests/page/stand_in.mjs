@@ -17,6 +17,7 @@ const HEADERS = {
   'X-Content-Type-Options': 'nosniff',
 };
 const SIDES = { preview: 170, full: 450 };
+const EVENTS = '/api/v1/events';
 const COMMAND = /^\/api\/v1\/scan\/(pause|resume|snapshot|undo|refine|reset|finish|abandon)$/;
 const SESSION_MESH = /^\/api\/v1\/sessions\/([^/]+)\/mesh$/;
 const MESH = /^\/api\/v1\/meshes\/(base|refined|difference)-(\d+)$/;
@@ -28,7 +29,8 @@ export async function standIn({ port = 0, sensor = 'kinect2' } = {}) {
   const daemon = new StandInDaemon(sensor);
   const assets = new Set(await readdir(PAGE));
   const server = createServer((request, response) => {
-    answer(daemon, assets, request, response).catch((error) => refuse(response, error));
+    if (request.url === EVENTS) follow(response);
+    else answer(daemon, assets, request, response).catch((error) => refuse(response, error));
   });
   const sockets = new WebSocketServer({ server, path: '/api/v1/ws' });
   const wishes = new Map();
@@ -37,16 +39,33 @@ export async function standIn({ port = 0, sensor = 'kinect2' } = {}) {
     socket.on('message', (text) => wishes.set(socket, JSON.parse(text).previews));
     socket.on('close', () => wishes.delete(socket));
   });
+  const streams = new Set();
+  const say = (topic, data) => {
+    for (const stream of streams) stream.write(`event: ${topic}\ndata: ${JSON.stringify(data)}\n\n`);
+  };
+  const follow = (response) => {
+    response.writeHead(200, { ...HEADERS, 'Content-Type': 'text/event-stream', 'Cache-Control': 'no-cache' });
+    response.on('close', () => streams.delete(response));
+    streams.add(response);
+    say('status', daemon.status);
+  };
+  const events = setInterval(() => say('status', daemon.status), 1000);
   const ticks = setInterval(() => daemon.tick(0.05), 50);
   const statuses = setInterval(() => tell(sockets, JSON.stringify({ type: 'status', ...daemon.status })), 200);
   const previews = setInterval(() => sendPreviews(daemon, wishes), 100);
   await new Promise((resolve) => server.listen(port, '127.0.0.1', resolve));
   return {
     daemon,
+    /** Tells an event to whoever follows them. */
+    say,
+    /** How many follow them. */
+    get nStreams() {
+      return streams.size;
+    },
     port: server.address().port,
     base: `http://127.0.0.1:${server.address().port}`,
     async close() {
-      for (const timer of [ticks, statuses, previews]) clearInterval(timer);
+      for (const timer of [ticks, statuses, previews, events]) clearInterval(timer);
       for (const socket of sockets.clients) socket.terminate();
       server.closeAllConnections();
       await new Promise((resolve) => server.close(resolve));
@@ -76,6 +95,7 @@ async function answer(daemon, assets, request, response) {
   const reads = {
     '/api/v1/status': () => daemon.status,
     '/api/v1/sessions': () => daemon.sessions,
+    '/api/v1/jobs': () => daemon.jobs,
     '/api/v1/scan/snapshots': () => daemon.scan?.snapshots ?? [],
     '/api/v1/scan/path': () => path(daemon),
   };

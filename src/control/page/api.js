@@ -36,6 +36,7 @@ export const path = () => ask('GET', '/scan/path');
 export const snapshots = () => ask('GET', '/scan/snapshots');
 export const sessions = () => ask('GET', '/sessions');
 export const session = (id) => ask('GET', `/sessions/${encodeURIComponent(id)}`);
+export const jobs = () => ask('GET', '/jobs');
 
 /** `label` is what the operator calls the scan; none if empty. */
 export const start = (label) => ask('POST', '/scan', label ? { label } : {});
@@ -75,6 +76,9 @@ export async function newerMesh(lod, tag) {
 async function refusalOf(response) {
   return new Refusal(response.status, parsed(await response.text()) ?? {});
 }
+
+/** Address of the stream of events. */
+export const eventsAddress = `${ROOT}/events`;
 
 /** Address of the newest-only socket. */
 export function socketAddress() {

@@ -2,7 +2,7 @@
 // The three-dimensional view is loaded after the first paint; without WebGL everything else still works.
 
 import * as api from './api.js';
-import { Connection } from './connection.js';
+import { Connection, Refusals } from './connection.js';
 import { Controls } from './controls.js';
 import { Exports } from './exports.js';
 import { Fitness } from './fitness.js';
@@ -11,12 +11,14 @@ import { Kinect1 } from './kinect1.js';
 import { Previews } from './previews.js';
 import { Refinement } from './refinement.js';
 import { Snapshots } from './snapshots.js';
-import { describeState } from './words.js';
+import { describeEnding, describeRefusal, describeState } from './words.js';
 
 const PATH_INTERVAL_MS = 1000;
 const TOAST_MS = 6000;
+/** A sentence takes longer to read than a word. */
+const TOAST_MS_PER_CHARACTER = 50;
 const CONNECTION_WORDS = {
-  lost: 'Connection lost. The scan goes on without this page; trying again.',
+  lost: 'Connection lost. If the daemon runs, the scan goes on; trying again.',
   polling: 'The daemon answers but sends no pictures: too many pages are open. Trying again.',
 };
 
@@ -30,6 +32,7 @@ const refinement = new Refinement(report);
 const exported = new Exports((session) => stage?.compare(session));
 const controls = new Controls({ report, export: () => exported.open() });
 const connection = new Connection({ state: showConnection, status: showStatus, preview: showPreview });
+const refusals = new Refusals((refused) => report({ message: describeRefusal(refused), code: `refused_${refused.command}` }));
 
 let status = null;
 let stage = null;
@@ -37,7 +40,11 @@ let sessionsKey = '';
 let toastTimer = 0;
 
 connection.open();
-document.addEventListener('visibilitychange', () => connection.want(!document.hidden));
+refusals.want(!document.hidden);
+document.addEventListener('visibilitychange', () => {
+  connection.want(!document.hidden);
+  refusals.want(!document.hidden);
+});
 requestAnimationFrame(() => requestAnimationFrame(openStage));
 
 async function openStage() {
@@ -66,7 +73,9 @@ function showStatus(next) {
   Object.assign(document.body.dataset, { state: next.state, reason: next.reason ?? '', phase: next.phase, tone });
   say('state-title', title);
   say('state-advice', advice);
-  say('device', next.scan ? scanName(next.scan) : '');
+  const name = next.scan ? scanName(next.scan) : '';
+  say('device', name);
+  at('device').title = name;
   fitness.show(next.fitness, next.state === 'lost');
   previews.showSaturation(next.ir_saturated_share);
   snapshots.follow(scanId, next.snapshots);
@@ -99,7 +108,8 @@ function showConnection(state) {
   banner.hidden = state === 'open';
   banner.textContent = CONNECTION_WORDS[state] ?? '';
   showControls();
-  if (state === 'open') sessionsKey = '';
+  // Whatever ended meanwhile is looked for.
+  if (state !== 'lost') sessionsKey = '';
 }
 
 function isReachable() {
@@ -107,7 +117,7 @@ function isReachable() {
 }
 
 function showControls() {
-  controls.show(isReachable() ? status : null, exported.newest);
+  controls.show(isReachable() ? status : null, exported.newest, exported.sessions.length > 0);
 }
 
 async function followPath() {
@@ -119,17 +129,20 @@ async function followPath() {
   }
 }
 
-/** Asks for the finished scans when one may have been added or refined. */
+/** Asks for the finished scans when one may have been added or refined, and tells of one that did not end well. */
 async function followSessions(scanId) {
+  // A scan that is being started is on the list and not yet going on, as one that was interrupted.
+  if (status.state === 'warming' && !scanId) return;
   const { state, job } = status.refinement;
   // The next job may run already when the end of one is told: the state is the same, and the job is not.
   const key = `${scanId}/${status.phase}/${job}/${state}`;
   if (key === sessionsKey) return;
   sessionsKey = key;
   try {
-    await exported.refresh(scanId);
+    const [ended] = await exported.refresh(scanId);
     showControls();
     stage?.offer(exported.newestRefined);
+    if (ended) report({ message: describeEnding(ended), code: `scan_${ended.state}` });
   } catch {
     sessionsKey = '';
   }
@@ -142,5 +155,11 @@ function report(error) {
   toast.dataset.code = error.code ?? '';
   toast.hidden = false;
   clearTimeout(toastTimer);
-  toastTimer = setTimeout(() => { toast.hidden = true; }, TOAST_MS);
+  toastTimer = setTimeout(forget, TOAST_MS + TOAST_MS_PER_CHARACTER * error.message.length);
+}
+
+/** Hides what was reported, once somebody could see it. */
+function forget() {
+  if (document.hidden) toastTimer = setTimeout(forget, TOAST_MS);
+  else at('toast').hidden = true;
 }

@@ -5,7 +5,7 @@ import { decodePreview } from './wire.js';
 
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8000;
-/** A socket that says nothing for this long is taken for dead: the daemon sends its status several times a second. */
+/** What says nothing for this long is taken for dead: the daemon sends its status several times a second, as an event once. */
 const SILENCE_MS = 6000;
 
 /**
@@ -94,5 +94,52 @@ export class Connection {
     } catch {
       this.#on.state('lost');
     }
+  }
+}
+
+/**
+ * Tells `refused({command, reason})` of what the daemon took on and could not do, which is only told as an event. The stream is
+ * open while the page is looked at: a browser has six connections for all its pages of one daemon, and each stream keeps one.
+ */
+export class Refusals {
+  #refused;
+  #stream = null;
+  #silence = 0;
+
+  constructor(refused) {
+    this.#refused = refused;
+  }
+
+  /** Whether the stream is to be open. */
+  want(isOpen) {
+    if (isOpen === Boolean(this.#stream)) return;
+    if (isOpen) this.#open();
+    else this.#close();
+  }
+
+  #open() {
+    this.#stream = new EventSource(api.eventsAddress);
+    this.#stream.addEventListener('status', () => this.#watchSilence());
+    this.#stream.addEventListener('loss', ({ data }) => this.#take(JSON.parse(data)));
+    this.#watchSilence();
+  }
+
+  #close() {
+    clearTimeout(this.#silence);
+    this.#stream.close();
+    this.#stream = null;
+  }
+
+  #take(event) {
+    if (event.event === 'refused') this.#refused(event);
+  }
+
+  /** A browser opens a stream again that broke, but not one that was refused or fell silent. */
+  #watchSilence() {
+    clearTimeout(this.#silence);
+    this.#silence = setTimeout(() => {
+      this.#close();
+      this.#open();
+    }, SILENCE_MS);
   }
 }

@@ -6,13 +6,16 @@ const UNDO_SECS = 5;
 const SCANNING = ['warming', 'tracking', 'degraded', 'lost', 'relocalising', 'paused', 'snapshotting'];
 const RUNNING = SCANNING.filter((state) => state !== 'paused');
 const HOLDING = ['tracking', 'degraded'];
-/** In which states a button can be pressed. In a fault a scan may go on, and can be ended; only without one can another be started. */
+/**
+ * In which states, or for which reasons, a button can be pressed. In a fault a scan may go on, and can be ended; only without one
+ * can another be started. What cannot be written keeps nothing else from being done.
+ */
 const ALLOWED = {
   start: ['idle', 'fault'],
-  pause: RUNNING,
+  pause: [...RUNNING, 'storage_failed'],
   resume: ['paused'],
-  snapshot: HOLDING,
-  undo: [...HOLDING, 'lost', 'relocalising', 'paused'],
+  snapshot: [...HOLDING, 'storage_failed'],
+  undo: [...HOLDING, 'lost', 'relocalising', 'paused', 'storage_failed'],
   reset: [...SCANNING, 'fault'],
   stop: [...SCANNING, 'fault'],
 };
@@ -25,6 +28,7 @@ export class Controls {
   #label = document.getElementById('label');
   #status = null;
   #lastSession = null;
+  #hasFiles = false;
   #report;
 
   /** `on.report(error)` is told of refusals, `on.export()` opens the list of files. */
@@ -46,10 +50,14 @@ export class Controls {
     this.#update();
   }
 
-  /** `status`: `null` while the daemon does not answer. `lastSession`: the newest finished scan `{id, …}` or `null`. */
-  show(status, lastSession) {
+  /**
+   * `status`: `null` while the daemon does not answer. `lastSession`: the scan to refine when none goes on, `{id, …}` or `null`.
+   * `hasFiles`: whether any can be had.
+   */
+  show(status, lastSession, hasFiles) {
     this.#status = status;
     this.#lastSession = lastSession;
+    this.#hasFiles = hasFiles;
     this.#update();
   }
 
@@ -59,9 +67,9 @@ export class Controls {
   }
 
   #isAllowed(name) {
-    const { state, scan } = this.#status ?? {};
+    const { state, reason, scan } = this.#status ?? {};
     const fits = name === 'start' ? !scan : this.#isScanning();
-    return ALLOWED[name].includes(state) && (state !== 'fault' || fits);
+    return [state, reason].some((told) => ALLOWED[name].includes(told)) && (state !== 'fault' || fits);
   }
 
   #update() {
@@ -71,7 +79,7 @@ export class Controls {
     for (const name of Object.keys(ALLOWED)) this.#buttons[name].disabled = !this.#isAllowed(name);
     const canRefine = this.#isScanning() ? this.#status.snapshots.accepted > 0 : state === 'idle' && this.#lastSession !== null;
     this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
-    this.#buttons.export.disabled = !this.#status || this.#lastSession === null;
+    this.#buttons.export.disabled = !this.#status || !this.#hasFiles;
     if (!state) return;
     document.getElementById('name').hidden = !this.#isAllowed('start');
     const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';

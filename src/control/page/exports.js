@@ -18,8 +18,13 @@ export class Exports {
   #select = document.getElementById('export-session');
   #list = document.getElementById('export-files');
   #show = document.getElementById('export-show');
-  /** Finished scans, newest first. */
+  /** Finished scans that have files, the one that ended last first. */
   sessions = [];
+  /** Refinements, newest first. */
+  #jobs = [];
+  /** How every scan stood when the list was fetched last, by its id; `null` before the first time. */
+  #states = null;
+  #nFetched = 0;
 
   /** `show(session)` is asked for the meshes of a refined scan. */
   constructor(show) {
@@ -34,24 +39,39 @@ export class Exports {
     return this.sessions.find(({ id }) => id === this.#select.value);
   }
 
+  /** The newest whole scan that came to a mesh: what was written down on the way is none, and one that failed may have none. */
   get newest() {
-    return this.sessions[0] ?? null;
+    return this.sessions.find((session) => !session.interim_of && hasFile(session, 'base.ply')) ?? null;
   }
 
-  /** The newest scan that has a refined mesh. */
+  /** The scan that was refined last, on the way or as a whole. */
   get newestRefined() {
-    return this.sessions.find((session) => hasFile(session, 'refined.ply')) ?? null;
+    const refined = this.sessions.filter((session) => hasFile(session, 'refined.ply'));
+    const ofJob = ({ scan }) => refined.find(({ id }) => id === scan);
+    const job = this.#jobs.find((each) => each.state === 'done' && ofJob(each));
+    return (job ? ofJob(job) : refined[0]) ?? null;
   }
 
-  /** Fetches the list; the scan that is still going on is none of them. */
+  /**
+   * Fetches the list; the scan that is still going on is none of them. Returns the scans that failed or were interrupted
+   * since it was fetched last, the newest first.
+   */
   async refresh(scanId) {
-    const sessions = await api.sessions();
-    this.sessions = sessions.filter(({ id, files }) => id !== scanId && files.length > 0)
-      .sort((a, b) => b.id.localeCompare(a.id));
+    this.#nFetched += 1;
+    const number = this.#nFetched;
+    const [sessions, jobs] = await Promise.all([api.sessions(), api.jobs()]);
+    // A newer list is on its way, or came first.
+    if (number !== this.#nFetched) return [];
+    this.#jobs = jobs;
+    const ended = sessions.filter(({ id }) => id !== scanId).sort((a, b) => endOf(b) - endOf(a));
+    this.sessions = ended.filter(({ files }) => files.length > 0);
+    const before = this.#states;
+    this.#states = new Map(sessions.map(({ id, state }) => [id, state]));
+    return before ? ended.filter(({ id, state }) => ['failed', 'interrupted'].includes(state) && before.get(id) !== state) : [];
   }
 
   open() {
-    this.#select.replaceChildren(...this.sessions.map(({ id, label }) => new Option(label ? `${label} (${id})` : id, id)));
+    this.#select.replaceChildren(...this.sessions.map((session) => new Option(nameOf(session), session.id)));
     this.#fill();
     this.#dialog.showModal();
   }
@@ -71,6 +91,15 @@ export class Exports {
       return item;
     }));
   }
+}
+
+/** When a scan ended; one that was interrupted tells only when it began. */
+function endOf(session) {
+  return session.ended_unix_ms ?? session.started_unix_ms;
+}
+
+function nameOf({ id, label, interim_of: whole }) {
+  return (label ? `${label} (${id})` : id) + (whole ? ', on the way' : '');
 }
 
 function hasFile({ files }, name) {

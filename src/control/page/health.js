@@ -30,7 +30,7 @@ export class Health {
     this.#showFrames(frames);
     this.#showRecording(recording);
     const { version, uptime_secs: uptime, clients, config_error: configError } = daemon;
-    this.#say('daemon', `relief ${version}, up ${duration(uptime)}, ${clients} ${clients === 1 ? 'page' : 'pages'} open`);
+    this.#say('daemon', `relief ${version}, up ${duration(uptime)}, ${clients} ${clients === 1 ? 'connection' : 'connections'} open`);
     this.#say('config-error', configError ? `The configuration file is not in force: ${configError}` : '');
   }
 

@@ -29,6 +29,13 @@ const REASONS = {
   program: 'fault of the program',
 };
 
+/** What the operator asked for and is not done. */
+const REFUSED = {
+  snapshot: 'No shading image',
+  undo: 'Nothing is taken back',
+  refine: 'Not refined',
+};
+
 /** What is done to a scan at its end, or when frames are taken back. */
 const WORKS = {
   correct_depth: 'Correcting depth, frame',
@@ -53,6 +60,18 @@ export function describeState({ state, reason, advice, improvement, refinement }
   }
   const because = reason ? `: ${REASONS[reason] ?? spelled(reason)}` : '';
   return { title: title + because, advice: advice ?? '', tone };
+}
+
+/** How a scan ended that did not end well. */
+export function describeEnding({ id, label, state, failures }) {
+  const scan = `The scan ${label ? `“${label}”` : id}`;
+  if (state === 'interrupted') return `${scan} was interrupted: the daemon ended before it.`;
+  return `${scan} failed: ${failures.join('; ')}`;
+}
+
+/** What the daemon took on and then could not do. */
+export function describeRefusal({ command, reason }) {
+  return `${REFUSED[command] ?? spelled(command)}: ${reason}`;
 }
 
 /** A stable code as words, where there are none of its own. */
