@@ -60,7 +60,8 @@ pub use ply_reader::read_ply;
 pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba};
 pub use report::{
     AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA,
-    RefinedMesh, RefinedView, Report, StageTiming, Tracking, write_report_json,
+    RefinedMesh, RefinedView, Remeshing, Report, StageTiming, SurfaceDistance, Tracking,
+    write_report_json,
 };
 pub use report_html::{ReportPictures, SurfaceField, write_report_html};
 pub use snapshot_reader::{StoredSnapshot, read_snapshots};

@@ -129,6 +129,8 @@ pub struct RefinedMesh {
     pub iterations: Vec<Iteration>,
     /// Mean length of an edge, metres.
     pub edge_length_m: f64,
+    /// How far remeshing moved the surface before anything was displaced.
+    pub remeshing: Remeshing,
     /// The materials found, in the order of their labels, from dark to bright.
     pub albedo: Vec<AlbedoShare>,
     /// Gloss of the glossiest of them.
@@ -144,6 +146,29 @@ pub struct RefinedMesh {
     pub evidence: Evidence,
     /// The shading images.
     pub views: Vec<RefinedView>,
+}
+
+/// How far the remeshed surface, not displaced yet, and the part of the base mesh that is refined lie apart. Of more than 20 000 points
+/// every n-th is asked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Remeshing {
+    /// Hausdorff distance over these points: the larger of the largest, metres.
+    pub hausdorff_m: f64,
+    /// From vertices of the base mesh to the remeshed surface.
+    pub from_base: SurfaceDistance,
+    /// From middles of the remeshed surface's faces to the base mesh.
+    pub from_remeshed: SurfaceDistance,
+}
+
+/// How far points of one surface lie from another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SurfaceDistance {
+    /// Points that were asked.
+    pub n_points: usize,
+    /// The largest, metres.
+    pub max_m: f64,
+    /// Root mean square, metres.
+    pub rms_m: f64,
 }
 
 /// What the images say of the vertices of a refined mesh.

@@ -134,8 +134,8 @@ fn page(report: &Report, pictures: &EncodedPictures) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::super::{
-        BaseMesh, Evidence, Iteration, LostSpan, RefinedMesh, RefinedView, StageTiming, Tracking,
-        page::assert_self_contained,
+        BaseMesh, Evidence, Iteration, LostSpan, RefinedMesh, RefinedView, Remeshing, StageTiming,
+        Tracking, page::assert_self_contained,
     };
     use super::*;
 
@@ -186,6 +186,10 @@ mod tests {
             evidence: Evidence {
                 unseen_share: 0.1,
                 ..Evidence::default()
+            },
+            remeshing: Remeshing {
+                hausdorff_m: 0.00123,
+                ..Remeshing::default()
             },
             ..RefinedMesh::default()
         }
@@ -242,6 +246,7 @@ mod tests {
         assert!(
             page.contains("of the worst known tilt") && page.contains("10.00 % of its vertices")
         );
+        assert!(page.contains("lay within 1.23 mm of the base mesh"));
         assert_eq!(page.matches("<svg").count(), 2);
         assert_self_contained(&page);
     }

@@ -2,7 +2,7 @@
 
 use super::report_html::EncodedPictures;
 use super::{
-    Evidence, HeldOut, RefinedMesh,
+    Evidence, HeldOut, RefinedMesh, Remeshing,
     chart::{Labels, Series, bars, log_lines},
     report_format::{change, compact, count, fixed, length, percent},
 };
@@ -38,6 +38,7 @@ pub(super) fn refinement(refined: &RefinedMesh, pictures: &EncodedPictures) -> M
             }
             @if refined.held_out.n_views > 0 { (held_out(&refined.held_out)) }
             (evidence(&refined.evidence))
+            (remeshing(&refined.remeshing))
             @if !refined.albedo.is_empty() {
                 p class="quiet" { "Albedo: "
                     @for (label, material) in refined.albedo.iter().enumerate() {
@@ -65,6 +66,17 @@ fn evidence(evidence: &Evidence) -> Markup {
             @if evidence.weak_share > 0.0 {
                 " Of another " (percent(evidence.weak_share)) " images say little, since they show them from one side only."
             }
+        }
+    }
+}
+
+/// How far remeshing moved the surface.
+fn remeshing(remeshing: &Remeshing) -> Markup {
+    let (base, remeshed) = (&remeshing.from_base, &remeshing.from_remeshed);
+    html! {
+        p { "Remeshed and not displaced yet, the surface lay within " (length(remeshing.hausdorff_m)) " of the base mesh (Hausdorff distance over "
+            (count(base.n_points)) " vertices of the base mesh and " (count(remeshed.n_points)) " faces; root mean square "
+            (length(base.rms_m)) " and " (length(remeshed.rms_m)) ")."
         }
     }
 }

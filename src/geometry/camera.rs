@@ -21,6 +21,27 @@ impl CameraModel {
         }
     }
 
+    /// A camera without a lens, on which all that lies before it projects; sizes are those of columns, then rows, pixels.
+    pub fn pinhole(size: [usize; 2], focal_px: [f64; 2], centre_px: [f64; 2]) -> Self {
+        let ([width, height], [fx, fy], [cx, cy]) = (size, focal_px, centre_px);
+        CameraModel {
+            intrinsics: Intrinsics {
+                width,
+                height,
+                fx,
+                fy,
+                cx,
+                cy,
+                k1: 0.0,
+                k2: 0.0,
+                p1: 0.0,
+                p2: 0.0,
+                k3: 0.0,
+            },
+            max_radius_squared: f64::INFINITY,
+        }
+    }
+
     /// The intrinsics.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics

@@ -97,7 +97,7 @@ pub fn contradiction_as_tracked(
 ) -> Result<Option<Contradiction>, RefineError> {
     let trial = CalibrationTrial {
         subject,
-        params: &params.for_object(subject.object),
+        params: &params.for_object(subject.object, subject.footprint_m()),
         mesh: subject.object,
         asked: first_views(subject.snapshots.len()),
         tolerance: Tolerance::AS_TRACKED,

@@ -30,6 +30,7 @@ mod guard_tests;
 mod held_out;
 mod label_spread;
 mod level;
+mod light_camera;
 mod max_flow;
 mod median_albedo;
 mod mixture;
@@ -89,6 +90,7 @@ use error::MAX_BELIEVABLE_RMSE;
 use held_out::{every, hold_out};
 use nalgebra::Point3;
 use preparation::{Preparation, first_views};
+use remesh::RemeshDistance;
 use rounds::State;
 use serde::Serialize;
 use sites::{ViewError, ViewSet};
@@ -128,6 +130,8 @@ pub struct Refinement {
     pub evidence: Evidence,
     /// Edge length of the mesh, metres.
     pub edge_length_m: f64,
+    /// How far the remeshed surface lay from the base mesh before anything was displaced.
+    pub remeshing: RemeshDistance,
     /// How it ended.
     pub status: RefineStatus,
     /// Every accepted step.
@@ -207,6 +211,7 @@ pub fn refine(
         materials: albedo.materials(),
         albedo_spread: albedo.spread,
         edge_length_m: prepared.edge_length_m(),
+        remeshing: RemeshDistance::between(subject.object, &finest.level.mesh),
         status,
         iterations,
         rmse_before: over_all(&views, |view| view.rmse_before),

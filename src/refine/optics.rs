@@ -1,5 +1,6 @@
 //! What refinement has to know of the camera and its light.
 
+use crate::fusion::DepthNoise;
 use crate::geometry::RayGrid;
 use crate::interreflection::{PatchGrid, WhiteLevel};
 use crate::shading::{Calibration, NearLight};
@@ -15,6 +16,8 @@ pub struct Optics<'a> {
     pub full_scale: f64,
     /// Response, flat field and noise.
     pub calibration: &'a Calibration,
+    /// Noise of the depth.
+    pub depth_noise: DepthNoise,
 }
 
 impl<'a> Optics<'a> {
@@ -25,6 +28,7 @@ impl<'a> Optics<'a> {
             light: calibration.light.near_light(&info.light?),
             full_scale: info.ir_full_scale?,
             calibration,
+            depth_noise: DepthNoise::of_sensor(info.sensor),
         })
     }
 
@@ -50,6 +54,7 @@ impl<'a> Optics<'a> {
             },
             full_scale: self.full_scale,
             calibration,
+            depth_noise: self.depth_noise,
         }
     }
 

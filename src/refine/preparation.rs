@@ -18,7 +18,7 @@ use super::surface::Surface;
 use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
 use crate::interreflection::WhiteLevel;
-use crate::shading::Gloss;
+use crate::shading::{Gloss, median};
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -35,6 +35,20 @@ pub struct Subject<'a> {
     pub snapshots: &'a [ShadingSnapshot],
     /// Camera, light and response.
     pub optics: &'a Optics<'a>,
+}
+
+impl Subject<'_> {
+    /// What a pixel covers of the object, metres, in the median of the images; 0 without any.
+    pub fn footprint_m(&self) -> f64 {
+        let centre = centre_of(self.object);
+        let focal_px = self.optics.rays.camera().intrinsics().fx;
+        let of_image = |snapshot: &ShadingSnapshot| {
+            let in_camera = snapshot.world_from_camera.inverse_transform_point(&centre);
+            in_camera.z / focal_px
+        };
+        let mut of_images: Vec<f64> = self.snapshots.iter().map(of_image).collect();
+        median(&mut of_images).unwrap_or_default()
+    }
 }
 
 /// Longest edges of a mesh that tells of response and light, metres, if there is such a level: by facets of 2.6 mm gamma comes out
@@ -66,7 +80,10 @@ impl Preparation {
         learning: ViewSet,
     ) -> Result<Self, RefineError> {
         let Subject {
-            object, snapshots, ..
+            object,
+            snapshots,
+            optics,
+            ..
         } = *subject;
         if snapshots.len() > MAX_VIEWS {
             return Err(RefineError::TooManyViews {
@@ -74,7 +91,7 @@ impl Preparation {
             });
         }
         check_manifold(object)?;
-        let params = params.for_object(object);
+        let params = params.for_object(object, subject.footprint_m());
         let centre = centre_of(object);
         // Meshing keeps one thread busy.
         let (levels, views) =
@@ -93,7 +110,12 @@ impl Preparation {
             tolerance: Tolerance::FINISHED,
         };
         let told = trial.ask(&views);
-        let (told, views) = trial.judge(told, &levels[0], views);
+        let (told, mut views) = trial.judge(told, &levels[0], views);
+        if optics.white_level().is_none() {
+            for white in views.iter_mut().filter_map(|view| view.white.as_mut()) {
+                white.0 /= told.log_indirect.exp();
+            }
+        }
         let mesh = &levels[0].mesh;
         let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()))
             .with_gloss(SiteGloss::uniform(told.gloss));

@@ -12,6 +12,7 @@
 mod collapse;
 mod dynamic_mesh;
 mod flip;
+mod hausdorff;
 mod relax;
 #[cfg(test)]
 mod scenes;
@@ -22,6 +23,7 @@ use crate::geometry::{TriMesh, TriangleBvh};
 use collapse::{CollapseLimits, collapse_short_edges};
 use dynamic_mesh::DynamicMesh;
 use flip::equalise_valences;
+pub use hausdorff::{Distances, RemeshDistance};
 use relax::relax_onto;
 use serde::{Deserialize, Serialize};
 use split::split_long_edges;

@@ -12,6 +12,7 @@ use super::solver::{Solver, SolverParams};
 use super::surface::Surface;
 use super::view::{ImageTrust, View, ViewContext};
 use super::{RefineParams, patches};
+use crate::fusion::DepthNoise;
 use crate::geometry::{CameraModel, EdgeAdjacency, Pose, RayGrid, TriMesh, increment};
 use crate::shading::{Calibration, Gloss, NearLight};
 use crate::snapshot::ShadingSnapshot;
@@ -195,6 +196,7 @@ pub fn optics<'a>(rays: &'a RayGrid, calibration: &'a Calibration) -> Optics<'a>
         },
         full_scale: FULL_SCALE,
         calibration,
+        depth_noise: DepthNoise::of_sensor(Sensor::Kinect2),
     }
 }
 

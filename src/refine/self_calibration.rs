@@ -141,6 +141,8 @@ pub struct Told {
     pub gloss: Gloss,
     /// Share of the light that comes over other surfaces; 0 where nothing explains the images.
     pub indirect_share: f64,
+    /// Logarithm of how much more of that light there is than by the views' white level; 0 where nothing explains the images.
+    pub log_indirect: f64,
 }
 
 /// What the images tell of response, light and gloss from the `sites` of a surface that the views see.
@@ -202,11 +204,17 @@ pub fn told_by_images(
         }),
         gloss,
         indirect_share: if is_explained { *indirect_share } else { 0.0 },
+        log_indirect: if is_explained {
+            found.log_indirect
+        } else {
+            0.0
+        },
     }
 }
 
 /// How glossy the images show each of some materials to be, given with those of the facets, which are the `sites`, when all of them
-/// together are as glossy as `shared`. The views are as their `optics` have it. `None` where nothing is to be told.
+/// together are as glossy as `shared`. Response and light are held as the views and their `optics` have them. `None` where nothing is
+/// to be told.
 pub fn gloss_of_materials(
     sites: &Sites,
     views: &[View],
@@ -220,7 +228,10 @@ pub fn gloss_of_materials(
         return None;
     }
     let start = start(optics, views.len(), &vec![shared; n_materials]);
-    let gloss = Fitted::new(&mut patches, &start, params)?.fit.found.gloss;
+    let gloss = Fitted::new(&mut patches, &start, &params.held())?
+        .fit
+        .found
+        .gloss;
     tracing::info!(
         strength = ?gloss.iter().map(|gloss| gloss.strength).collect::<Vec<f64>>(),
         power = ?gloss.iter().map(|gloss| gloss.power).collect::<Vec<f64>>(),

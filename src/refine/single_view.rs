@@ -10,6 +10,7 @@
 
 use super::optics::Optics;
 use super::view::SATURATION;
+use crate::fusion::DepthNoise;
 use crate::geometry::TriMesh;
 use crate::shading::linearise;
 use crate::snapshot::ShadingSnapshot;
@@ -23,6 +24,8 @@ const REACH: isize = 4;
 const SPATIAL_PX: f64 = 2.0;
 /// Standard deviation of the weight by depth, metres: three times the noise of a Kinect at 0.6 m.
 const DEPTH_M: f64 = 0.005;
+/// The same in standard deviations of the depth, where these are more: beyond 0.9 m with a Kinect I, 1.9 m with a Kinect II.
+const DEPTH_SIGMAS: f64 = 3.0;
 /// Standard deviation of the weight by the logarithm of albedo; materials differ by more, noise by less.
 const LOG_ALBEDO: f64 = 0.15;
 /// Tangent of the angle of incidence beyond which neighbours are not joined: 80°.
@@ -31,9 +34,9 @@ const MAX_SLOPE: f64 = 5.67;
 /// The surface that a depth map shows, world frame; empty where there is no depth.
 pub fn surface_of_view(snapshot: &ShadingSnapshot, optics: &Optics) -> TriMesh {
     let flat = Image::filled(snapshot.depth_m.width(), snapshot.depth_m.height(), 0.0f32);
-    let rough = filtered(&snapshot.depth_m, &flat);
+    let rough = filtered(&snapshot.depth_m, &flat, &optics.depth_noise);
     let guide = log_albedo(snapshot, &rough, optics);
-    let depth_m = filtered(&snapshot.depth_m, &guide);
+    let depth_m = filtered(&snapshot.depth_m, &guide, &optics.depth_noise);
     let camera = meshed(&depth_m, optics);
     TriMesh {
         vertices: camera
@@ -46,7 +49,7 @@ pub fn surface_of_view(snapshot: &ShadingSnapshot, optics: &Optics) -> TriMesh {
 }
 
 /// Joint bilateral filter: depth (0 is none) by a guide in logarithms, of which NaN tells nothing.
-fn filtered(depth_m: &Image<f32>, guide: &Image<f32>) -> Image<f32> {
+fn filtered(depth_m: &Image<f32>, guide: &Image<f32>, noise: &DepthNoise) -> Image<f32> {
     let (width, height) = (depth_m.width(), depth_m.height());
     let falloff = |difference: f64, sigma: f64| (-0.5 * (difference / sigma).powi(2)).exp();
     let spatial: Vec<f64> = (0..=REACH).map(|d| falloff(d as f64, SPATIAL_PX)).collect();
@@ -55,6 +58,7 @@ fn filtered(depth_m: &Image<f32>, guide: &Image<f32>) -> Image<f32> {
         if centre <= 0.0 {
             return 0.0;
         }
+        let depth_sigma_m = DEPTH_M.max(DEPTH_SIGMAS * f64::from(noise.sigma_m(centre)));
         let (mut sum, mut weights) = (0.0, 0.0);
         for dv in -REACH..=REACH {
             for du in -REACH..=REACH {
@@ -74,7 +78,7 @@ fn filtered(depth_m: &Image<f32>, guide: &Image<f32>) -> Image<f32> {
                 };
                 let weight = spatial[du.unsigned_abs()]
                     * spatial[dv.unsigned_abs()]
-                    * falloff(other - f64::from(centre), DEPTH_M)
+                    * falloff(other - f64::from(centre), depth_sigma_m)
                     * by_albedo;
                 sum += weight * other;
                 weights += weight;
@@ -171,6 +175,7 @@ mod tests {
     use super::super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, rays};
     use super::super::{RefineParams, Subject, refine};
     use super::*;
+    use depth_camera::Sensor;
 
     const RIPPLED: RippledPlane = RippledPlane {
         amplitude_m: 0.0003,
@@ -248,11 +253,28 @@ mod tests {
                     *counts = (*counts * bright).min(0.9 * FULL_SCALE as f32);
                 }
             }
-            let flat = filtered(&snapshot.depth_m, &Image::filled(width, 160, 0.0));
-            let depth = filtered(&snapshot.depth_m, &log_albedo(&snapshot, &flat, &optics));
+            let (noise, guide) = (&optics.depth_noise, Image::filled(width, 160, 0.0));
+            let flat = filtered(&snapshot.depth_m, &guide, noise);
+            let guide = log_albedo(&snapshot, &flat, &optics);
+            let depth = filtered(&snapshot.depth_m, &guide, noise);
             depth.at(99, 80) - depth.at(100, 80)
         };
         let (one, two) = (step(1.0), step(0.5));
         assert!(one < 0.0022 && two > 0.0027, "{one} and {two}");
+    }
+
+    #[test]
+    fn far_stairs_of_a_kinect_i_are_smoothed() {
+        // One disparity at 2 m, to either side of its border.
+        const STEP_M: f32 = 0.011;
+        let depths = (0..20 * 20).map(|pixel| 2.0 + if pixel % 20 < 10 { 0.0 } else { STEP_M });
+        let depth_m = Image::from_vec(20, 20, depths.collect());
+        let guide = Image::filled(20, 20, 0.0);
+        let step_left = |sensor| {
+            let smooth = filtered(&depth_m, &guide, &DepthNoise::of_sensor(sensor));
+            smooth.at(10, 10) - smooth.at(9, 10)
+        };
+        assert!(step_left(Sensor::Kinect1) < 0.4 * STEP_M);
+        assert!(step_left(Sensor::Kinect2) > 0.5 * STEP_M);
     }
 }

@@ -3,12 +3,13 @@
 
 use super::edge_mask::mask_edges_and_occluders;
 use super::gain_field::GainField;
+use super::light_camera::light_camera;
 use super::optics::Optics;
 use crate::geometry::{CameraModel, Lens, Pose, TriMesh, rasterise};
 use crate::interreflection::{IndirectLight, LitScene, PatchGrid, WhiteLevel};
 use crate::shading::{Gloss, Highlight, LightTable, LinearImage, NearLight, linearise};
 use crate::snapshot::ShadingSnapshot;
-use depth_camera::{Image, Intrinsics};
+use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -167,7 +168,9 @@ impl View {
         let camera_depth_m = rasterise(scene, &camera, &camera_from_world).depth_m;
         let light_from_camera = nalgebra::Translation3::from(-optics.light.position.coords);
         let light_from_world = light_from_camera * camera_from_world;
-        let light_model = light_camera_model(&(light_from_world * centre), radius_m);
+        let centre_light = light_from_world * centre;
+        let light_model =
+            light_camera(&centre_light, radius_m, &optics.light.position, optics.rays);
         let light_depth_m = rasterise(scene, &light_model, &light_from_world).depth_m;
         let counts = snapshot.lit_counts(optics.full_scale, optics.calibration.gamma);
         let mut linear = linearise(
@@ -177,7 +180,12 @@ impl View {
             optics.calibration,
             flat,
         );
-        mask_edges_and_occluders(&mut linear.value, &camera_depth_m, &snapshot.depth_m);
+        mask_edges_and_occluders(
+            optics,
+            &mut linear.value,
+            &camera_depth_m,
+            &snapshot.depth_m,
+        );
         let model_depth_m = camera_depth_m.map(|&z| if z.is_finite() { z } else { 0.0 });
         let lit = LitScene::new(patches, &model_depth_m, &counts);
         let distance_m = (camera_from_world * centre).z.max(0.1);
@@ -302,85 +310,5 @@ impl View {
         self.linear
             .value
             .map(|value| if value.is_nan() { 0 } else { 255 })
-    }
-}
-
-/// The light's "camera" for shadows: a pinhole with the camera's orientation and of its field of 100° the part where the object is.
-fn light_camera_model(centre: &Point3<f64>, radius_m: f64) -> CameraModel {
-    const SIDE: f64 = 800.0;
-    // What is displaced, and pixels beside what is looked at.
-    const ROUND_IT: f64 = 1.2;
-    const LEAST: f64 = 16.0;
-    let focal = SIDE / 2.0 / 50.0f64.to_radians().tan();
-    let principal = (SIDE - 1.0) / 2.0;
-    let reach = ROUND_IT * radius_m;
-    let nearest = centre.z - reach;
-    let window = |along: f64| {
-        if nearest <= 0.0 {
-            return (0.0, SIDE);
-        }
-        let tangents = [along - reach, along + reach]
-            .into_iter()
-            .flat_map(|side| [side / nearest, side / (centre.z + reach)]);
-        let pixels = tangents.map(|tangent| principal + focal * tangent);
-        let (low, high) = pixels.fold((f64::MAX, f64::MIN), |(low, high), pixel| {
-            (low.min(pixel), high.max(pixel))
-        });
-        let first = low.floor().clamp(0.0, SIDE - LEAST);
-        (first, (high.ceil().min(SIDE) - first).max(LEAST))
-    };
-    let ((left, width), (top, height)) = (window(centre.x), window(centre.y));
-    CameraModel::new(Intrinsics {
-        width: width as usize,
-        height: height as usize,
-        fx: focal,
-        fy: focal,
-        cx: principal - left,
-        cy: principal - top,
-        k1: 0.0,
-        k2: 0.0,
-        p1: 0.0,
-        p2: 0.0,
-        k3: 0.0,
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Pixels beside the outermost that a point is looked for in.
-    const MARGIN_PX: f64 = 2.0;
-
-    #[test]
-    fn the_light_looks_at_all_of_the_object_and_at_little_else() {
-        let radius_m = 0.12;
-        for centre in [(0.0, 0.0, 0.6), (0.2, -0.1, 0.5), (-0.3, 0.2, 1.2)] {
-            let centre = Point3::new(centre.0, centre.1, centre.2);
-            let light = light_camera_model(&centre, radius_m);
-            let corners = (-2..=2).flat_map(|i| (-2..=2).map(move |j| (i, j)));
-            for (i, j) in corners {
-                for k in -2..=2 {
-                    let direction = Vector3::new(f64::from(i), f64::from(j), f64::from(k));
-                    let Some(direction) = direction.try_normalize(0.0) else {
-                        continue;
-                    };
-                    let point = centre + direction * radius_m;
-                    let pixel = light.project(&point).expect("before the light");
-                    assert!(light.contains(&pixel, MARGIN_PX), "{point}: {pixel}");
-                }
-            }
-            let Intrinsics { width, height, .. } = *light.intrinsics();
-            assert!(width * height < 800 * 800 / 4, "{width} by {height}");
-        }
-    }
-
-    #[test]
-    fn what_stands_round_the_light_or_beside_its_field_leaves_an_image() {
-        for centre in [(0.0, 0.0, 0.1), (3.0, 0.0, 0.5), (-3.0, -3.0, 0.5)] {
-            let centre = Point3::new(centre.0, centre.1, centre.2);
-            let Intrinsics { width, height, .. } = *light_camera_model(&centre, 0.12).intrinsics();
-            assert!((16..=800).contains(&width) && (16..=800).contains(&height));
-        }
     }
 }

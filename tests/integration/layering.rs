@@ -23,7 +23,13 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     (
         "refine",
-        &["geometry", "shading", "interreflection", "snapshot"],
+        &[
+            "geometry",
+            "shading",
+            "interreflection",
+            "fusion",
+            "snapshot",
+        ],
     ),
     ("export", &["geometry", "shading", "atomic_file"]),
     ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),

@@ -139,10 +139,7 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
     ]);
     for share in GAMMAS {
         let gamma = share * calibration.gamma;
-        let calibration = Calibration {
-            gamma,
-            ..calibration.clone()
-        };
+        let calibration = calibration.with_gamma(gamma);
         let believed = |what: &str, enabled: bool| Variation {
             calibration: calibration.clone(),
             ..with(&format!("gamma {gamma:.2}{what}"), &|params| {
@@ -169,6 +166,26 @@ mod tests {
             assert_eq!(params.validate(), Ok(()), "{what}");
             assert_eq!(variation.calibration.validate(), Ok(()), "{what}");
         }
+    }
+
+    #[test]
+    fn another_gamma_shows_the_white_level_by_itself() {
+        let mut calibration = Calibration::shipped(Sensor::Kinect2).unwrap();
+        calibration.light.white_level = Some(0.5);
+        let variations = variations(&calibration, &RefineParams::default(), &[0, 2]);
+        let counts = |calibration: &Calibration| {
+            let white_level = calibration.light.white_level.unwrap();
+            white_level.powf(calibration.gamma)
+        };
+        let changed = variations
+            .iter()
+            .filter(|variation| variation.what.starts_with("gamma"));
+        let mut n_changed = 0;
+        for variation in changed {
+            assert!((counts(&variation.calibration) - counts(&calibration)).abs() < 1e-12);
+            n_changed += 1;
+        }
+        assert_eq!(n_changed, 4);
     }
 
     #[test]

@@ -11,7 +11,7 @@ const TILT_SIGMA_RAD: f64 = 0.015;
 /// Standard deviation of the light's place along the optical axis, metres.
 const LIGHT_DEPTH_SIGMA_M: f64 = 0.001;
 /// Standard deviation of the strength of indirect light as a share of it.
-const INDIRECT_SIGMA: f64 = 0.3;
+const INDIRECT_SIGMA: f64 = 0.6;
 /// What Eq. (1) gets wrong over a whole scan alike, as shares of intensity and of what of it is indirect: light from what the image does not
 /// show is missing, and what stands between is not seen. However many patches there are, they tell no better than that.
 const MODEL_SIGMA: f64 = 0.0022;
@@ -28,9 +28,9 @@ const AT_INDIRECT: usize = N_LIT - 1;
 const N_OF_GLOSS: usize = 2;
 /// What a reading depends on beside its patch and the gain of its view.
 const N_SHARED: usize = N_LIT + N_OF_GLOSS;
-/// Gauss-Newton steps at most, and the change of 1/gamma that ends them.
+/// Gauss-Newton steps at most, and the largest change, in standard deviations of what changes, that ends them.
 const MAX_STEPS: usize = 12;
-const SETTLED: f64 = 1e-4;
+const SETTLED_SIGMAS: f64 = 0.05;
 /// Cut-off of the loss in scales: 95 % efficient on Gaussian residuals.
 const CUTOFF: f64 = 4.685;
 /// Patches that are summed one after the other, whatever the threads.
@@ -161,6 +161,29 @@ impl Unknowns {
         calibration
     }
 
+    /// Distance of every unknown from another's; of gloss's exponent and the strength of indirect light, of their logarithms.
+    fn distances(&self, from: &Unknowns) -> Vec<f64> {
+        let moved = self.light.position - from.light.position;
+        let shared = [
+            self.inv_gamma - from.inv_gamma,
+            moved.x,
+            moved.y,
+            moved.z,
+            self.light.lobe_power - from.light.lobe_power,
+            self.log_indirect - from.log_indirect,
+        ];
+        let gloss = self.gloss.iter().zip(&from.gloss);
+        let gloss = gloss.flat_map(|(gloss, from)| {
+            [
+                gloss.strength - from.strength,
+                (gloss.power / from.power).ln(),
+            ]
+        });
+        let gains = self.log_gains.iter().zip(&from.log_gains);
+        let gains = gains.map(|(gain, from)| gain - from);
+        shared.into_iter().chain(gloss).chain(gains).collect()
+    }
+
     /// Distance of every unknown from where it is believed to be, and its inverse variance.
     fn prior(
         &self,
@@ -168,32 +191,22 @@ impl Unknowns {
         params: &SelfCalibrationParams,
         gloss_sigmas: &[f64],
     ) -> Vec<(f64, f64)> {
-        let moved = self.light.position - start.light.position;
         let shared = [
-            (
-                self.inv_gamma - start.inv_gamma,
-                params.gamma_sigma * start.inv_gamma,
-            ),
-            (moved.x, params.light_sigma_m),
-            (moved.y, params.light_sigma_m),
-            (moved.z, LIGHT_DEPTH_SIGMA_M),
-            (
-                self.light.lobe_power - start.light.lobe_power,
-                params.lobe_sigma,
-            ),
-            (self.log_indirect, INDIRECT_SIGMA),
+            params.gamma_sigma * start.inv_gamma,
+            params.light_sigma_m,
+            params.light_sigma_m,
+            LIGHT_DEPTH_SIGMA_M,
+            params.lobe_sigma,
+            INDIRECT_SIGMA,
         ];
-        let gloss = self.gloss.iter().zip(&start.gloss).zip(gloss_sigmas);
-        let gloss = gloss.flat_map(|((gloss, start), &sigma)| {
-            let log_power = (gloss.power / start.power).ln();
-            [
-                (gloss.strength - start.strength, sigma),
-                (log_power, GLOSS_LOG_POWER_SIGMA),
-            ]
-        });
-        let gains = self.log_gains.iter().map(|gain| (*gain, GAIN_SIGMA));
-        let all = shared.into_iter().chain(gloss).chain(gains);
-        all.map(|(distance, sigma)| (distance, 1.0 / (sigma * sigma)))
+        let gloss = gloss_sigmas.iter();
+        let gloss = gloss.flat_map(|&sigma| [sigma, GLOSS_LOG_POWER_SIGMA]);
+        let gains = self.log_gains.iter().map(|_| GAIN_SIGMA);
+        let sigmas = shared.into_iter().chain(gloss).chain(gains);
+        let distances = self.distances(start).into_iter();
+        distances
+            .zip(sigmas)
+            .map(|(distance, sigma)| (distance, 1.0 / (sigma * sigma)))
             .collect()
     }
 }
@@ -349,14 +362,18 @@ pub fn fit(
         }
         let cholesky = normal.jtj.cholesky()?;
         let step = -cholesky.solve(&normal.jtr);
-        unknowns = unknowns.moved(&step);
+        let next = unknowns.moved(&step);
+        let moved = next.distances(&unknowns);
+        unknowns = next;
         let all_own = tiles.iter().flat_map(|(_, own)| own);
         for (patch, own) in patches.iter_mut().zip(all_own) {
             let coupled = &own.coupling * &step;
             patch.own -= own.inverse * (own.gradient + coupled.fixed_rows::<3>(0));
         }
         sigmas = (deviations(&cholesky), deviations(&with_model.cholesky()?));
-        if step[0].abs() < SETTLED {
+        // Steps may go on against a bound, but nothing moves.
+        let mut in_sigmas = moved.iter().zip(&sigmas.0).map(|(by, sigma)| by / sigma);
+        if in_sigmas.all(|by| by.abs() < SETTLED_SIGMAS) {
             break;
         }
     }

@@ -106,24 +106,26 @@ fn images_that_no_calibration_explains_tell_nothing() {
 fn gloss_is_told_from_gamma() {
     let (rays, truth) = (rays(), calibration());
     let optics = optics(&rays, &truth);
-    let params = SelfCalibrationParams::default();
-    for strength in [0.0, 0.15, 0.5] {
-        let gloss = Gloss {
-            strength,
-            power: 20.0,
-        };
-        let told = told_by(
-            &params,
-            |_| (),
-            |_, snapshot| RIPPLED.polish(snapshot, gloss, &optics),
-        );
-        assert_eq!(told.contradiction, None, "{strength}");
-        let off = told.gloss.strength - strength;
-        assert!(
-            off.abs() <= 0.4 * strength,
-            "{:?} of {strength}",
-            told.gloss
-        );
+    let free = SelfCalibrationParams::default();
+    for params in [free.clone(), free.held()] {
+        for strength in [0.0, 0.15, 0.5] {
+            let gloss = Gloss {
+                strength,
+                power: 20.0,
+            };
+            let told = told_by(
+                &params,
+                |_| (),
+                |_, snapshot| RIPPLED.polish(snapshot, gloss, &optics),
+            );
+            assert_eq!(told.contradiction, None, "{strength}");
+            let off = told.gloss.strength - strength;
+            assert!(
+                off.abs() <= 0.4 * strength,
+                "{:?} of {strength}",
+                told.gloss
+            );
+        }
     }
 }
 
