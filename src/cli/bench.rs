@@ -2,12 +2,13 @@
 //!
 //! Processor time is that of the whole process, all threads together, which other work on the machine disturbs less than
 //! wall time. Reading the recording is not measured. This is scoring: where the recording has measured poses, they are read.
-//! The live mesh is brought up to the model after every tenth frame, which is measured by itself.
+//! The live mesh is brought up to the model after every tenth frame that is tracked, which is measured by itself.
 
 use super::{
     BenchArgs,
     processor_time::process_cpu_secs,
     run::{self, Verdict},
+    stdout::Stdout,
 };
 use anyhow::Context;
 use depth_camera::{CameraInfo, Image};
@@ -22,7 +23,11 @@ use relief::{
 };
 use replay::Pacing;
 use serde::Serialize;
-use std::{path::Path, time::Instant};
+use std::{
+    io::{self, Write},
+    path::Path,
+    time::Instant,
+};
 
 /// What was measured.
 #[derive(Serialize)]
@@ -114,9 +119,6 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
                 run.fusion.see(ir);
             }
             pool.install(|| run.fuse(depth, frame.device_time_secs, truth.as_ref()));
-            if run.frames.tracked.is_multiple_of(LIVE_EVERY_FRAMES) {
-                pool.install(|| run.refresh());
-            }
         }
     }
     let mesh = pool.install(|| run.mesh());
@@ -138,8 +140,8 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         trajectory: truth.and_then(|_| trajectory_error(&run.pairs)),
     };
     match args.json {
-        true => println!("{}", serde_json::to_string(&measured)?),
-        false => print_text(&measured),
+        true => writeln!(Stdout, "{}", serde_json::to_string(&measured)?)?,
+        false => print_text(&measured)?,
     }
     Ok(Verdict::Done)
 }
@@ -203,6 +205,7 @@ impl Run {
         }
     }
 
+    /// Fuses a frame; after some that are tracked the live mesh is refreshed. Those that are lost change nothing.
     fn fuse(&mut self, depth: &Image<f32>, time_secs: f64, truth: Option<&GivenPoses>) {
         let (start_cpu_ms, start) = (process_cpu_ms(), Instant::now());
         let mut last_ms = start_cpu_ms;
@@ -227,6 +230,9 @@ impl Run {
                     estimate: world_from_camera,
                     truth,
                 }));
+                if self.frames.tracked.is_multiple_of(LIVE_EVERY_FRAMES) {
+                    self.refresh();
+                }
             }
             TrackingOutcome::Lost(_) => self.frames.lost += 1,
             TrackingOutcome::NoDepth => self.frames.without_depth += 1,
@@ -297,62 +303,74 @@ fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-fn print_text(measured: &Measured) {
+fn print_text(measured: &Measured) -> io::Result<()> {
     let Frames {
         tracked,
         lost,
         without_depth,
         damaged,
     } = measured.frames;
-    println!(
+    writeln!(
+        Stdout,
         "{}: voxels of {} mm, depth to {} m, {} threads",
         measured.session,
         1e3 * measured.voxel_size_m,
         measured.depth_max_m,
         measured.threads
-    );
-    println!(
+    )?;
+    writeln!(
+        Stdout,
         "frames: {tracked} tracked, {lost} lost, {without_depth} without depth, {damaged} damaged"
-    );
-    println!("processor time a frame, all threads together, median ms:");
+    )?;
+    writeln!(
+        Stdout,
+        "processor time a frame, all threads together, median ms:"
+    )?;
     for time in &measured.cpu_ms {
-        println!(
+        writeln!(
+            Stdout,
             "  {:<14}{:>8.2}",
             format!("{:?}", time.step),
             time.median_ms
-        );
+        )?;
     }
-    println!("  {:<14}{:>8.2}", "frame", measured.frame_cpu_ms);
-    println!(
+    writeln!(Stdout, "  {:<14}{:>8.2}", "frame", measured.frame_cpu_ms)?;
+    writeln!(
+        Stdout,
         "wall time a frame: {:.2} ms, {:.0} frames/s",
         measured.frame_wall_ms, measured.fps
-    );
+    )?;
     if let Some(fitness) = &measured.fitness {
-        println!(
+        writeln!(
+            Stdout,
             "fitness: median {:.2}, least {:.2}; held by the geometry: {:.4} at least",
             fitness.median, fitness.least, fitness.least_held_share
-        );
+        )?;
     }
-    println!("model: {} MiB", measured.model_bytes >> 20);
+    writeln!(Stdout, "model: {} MiB", measured.model_bytes >> 20)?;
     if let Some(bytes) = measured.peak_memory_bytes {
-        println!("largest resident memory: {} MiB", bytes >> 20);
+        writeln!(Stdout, "largest resident memory: {} MiB", bytes >> 20)?;
     }
     let live = &measured.live_mesh;
-    println!(
+    writeln!(
+        Stdout,
         "live mesh every {} frames: {} patches, {:.1} ms of processor time, {:.1} ms",
         live.every_frames, live.patches, live.cpu_ms, live.wall_ms
-    );
+    )?;
     let mesh = &measured.mesh;
-    println!(
+    writeln!(
+        Stdout,
         "mesh: {} vertices, {} faces, {:.1} ms of processor time, {:.1} ms",
         mesh.vertices, mesh.faces, mesh.cpu_ms, mesh.wall_ms
-    );
+    )?;
     if let Some(error) = &measured.trajectory {
-        println!(
+        writeln!(
+            Stdout,
             "trajectory: RMSE {:.2} mm, largest error {:.2} mm over {} poses",
             1e3 * error.rmse_m,
             1e3 * error.max_m,
             error.n_pairs
-        );
+        )?;
     }
+    Ok(())
 }

@@ -55,9 +55,7 @@ impl Fusion {
 
     /// Where a frame lies better than where it was tracked, if that is worth while.
     fn found_again(&mut self, frame: &Keyframe, guess: &Pose) -> Option<Pose> {
-        if !self.eye.take(&frame.depth_m()) {
-            return None;
-        }
+        self.eye.take_kept(&frame.depth_m(), frame.n_frames);
         let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
         let tracked = &frame.world_from_camera;
         let candidates = [tracked, guess].map(|from| align_closely(from, eye, volume, params));

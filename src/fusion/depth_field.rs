@@ -223,6 +223,7 @@ mod tests {
                 world_from_camera: *pose,
                 given: None,
                 stretch: 0,
+                n_frames: 1,
             });
         }
         (fusion, keyframes, camera)

@@ -1,5 +1,6 @@
 //! The frame in hand, from a depth image to measurements, and those into a volume; its buffers are kept from frame to frame.
 
+use super::MODEL_LEVEL;
 use super::band::Band;
 use super::integrate::integrate;
 use super::noise::DepthNoise;
@@ -16,11 +17,8 @@ use crate::geometry::{CameraModel, Pose};
 use depth_camera::Image;
 use pulp::Arch;
 
-/// Below this share of valid pixels a frame is taken for empty; arbitrary, speckle of a covered Kinect I stays below.
-const MIN_VALID_SHARE: f64 = 0.02;
-
-/// A frame of which a smaller share of pixels has a normal shows specks, no surface; arbitrary, an object alone in the working
-/// range has several times as much.
+/// A frame of which a smaller share of the model's pixels has a normal shows specks, no surface; arbitrary, a square of 8 cm alone
+/// in the working range, 0.7 m before a Kinect II, has as much.
 const MIN_SURFACE_SHARE: f64 = 0.005;
 
 /// A camera with the frame that it took last.
@@ -34,6 +32,8 @@ pub struct Eye {
     pub range: DepthRange,
     /// The frame in hand.
     pub frame: FramePyramid,
+    /// So many frames it stands for, itself included.
+    pub n_frames: usize,
     lens: Lens,
     observations: Observations,
 }
@@ -49,20 +49,24 @@ impl Eye {
             lens: Lens::new(camera),
             observations: Observations::new(&frame, range.far_m),
             frame,
+            n_frames: 1,
         }
     }
 
-    /// Takes a depth image (metres, 0 is none) in hand; `false` if it holds (almost) no depth.
+    /// Takes a depth image (metres, 0 is none) in hand; `false` if it shows no surface.
     pub fn take(&mut self, depth: &Image<f32>) -> bool {
-        let n_valid = clip_depth(self.arch, depth, self.range, &mut self.frame);
-        if (n_valid as f64) < MIN_VALID_SHARE * depth.data().len() as f64 {
-            return false;
-        }
-        build_levels(self.arch, &self.noise, &mut self.frame);
-        true
+        self.take_kept(depth, 1);
+        self.sees_surface()
     }
 
-    /// Fuses the frame in hand into a volume.
+    /// Takes the depth (m) of a frame in hand that was fused before, and stands for so many, itself included.
+    pub fn take_kept(&mut self, depth: &Image<f32>, n_frames: usize) {
+        clip_depth(self.arch, depth, self.range, &mut self.frame);
+        build_levels(self.arch, &self.noise, &mut self.frame);
+        self.n_frames = n_frames;
+    }
+
+    /// Fuses the frame in hand into a volume, by the weight of all that it stands for.
     pub fn fuse_into(
         &mut self,
         volume: &mut TsdfVolume,
@@ -83,7 +87,8 @@ impl Eye {
             turns,
         );
         on_step(FusionStep::Allocate);
-        let view = View::new(volume, self.lens, world_from_camera, turns.weight());
+        let weight = turns.weight() * self.n_frames as f32;
+        let view = View::new(volume, self.lens, world_from_camera, weight);
         integrate(self.arch, volume, band.touched(), &self.observations, &view);
         on_step(FusionStep::Integrate);
     }
@@ -106,15 +111,15 @@ impl Eye {
         );
     }
 
-    /// Whether the frame in hand shows surface on a reduced level, and not specks alone.
-    pub fn sees_surface(&self, level: usize) -> bool {
-        let normals = &self.level(level).normals[2];
-        let n_there = normals.iter().filter(|&&z| z < 0.0).count();
-        n_there as f64 >= MIN_SURFACE_SHARE * normals.len() as f64
-    }
-
     /// A reduced level of the frame in hand, the finest first.
     pub fn level(&self, level: usize) -> &Level {
         &self.frame.reduced[level]
+    }
+
+    /// Whether the frame in hand shows surface, and not specks alone.
+    fn sees_surface(&self) -> bool {
+        let normals = &self.level(MODEL_LEVEL).normals[2];
+        let n_there = normals.iter().filter(|&&z| z < 0.0).count();
+        n_there as f64 >= MIN_SURFACE_SHARE * normals.len() as f64
     }
 }

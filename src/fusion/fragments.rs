@@ -88,16 +88,16 @@ impl Fragment {
         // The anchor comes last: its frame is then in hand to look from.
         let others = stretch.clone().filter(|&index| index != anchor);
         for index in others.chain([anchor]) {
-            if eye.take(&frames[index].depth_m()) {
-                let anchor_from_camera = anchor_from_world * frames[index].world_from_camera;
-                eye.fuse_into(
-                    &mut volume,
-                    &mut band,
-                    &anchor_from_camera,
-                    Turns::EVERY_FRAME,
-                    &mut |_| {},
-                );
-            }
+            let frame = &frames[index];
+            eye.take_kept(&frame.depth_m(), frame.n_frames);
+            let anchor_from_camera = anchor_from_world * frame.world_from_camera;
+            eye.fuse_into(
+                &mut volume,
+                &mut band,
+                &anchor_from_camera,
+                Turns::EVERY_FRAME,
+                &mut |_| {},
+            );
         }
         let mut map = ModelMap::of_level(eye.level(FRAGMENT_LEVEL));
         eye.look(FRAGMENT_LEVEL, &volume, &Pose::identity(), &mut map);

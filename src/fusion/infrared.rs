@@ -15,9 +15,11 @@ use super::degeneracy::Degeneracy;
 use super::eye::Eye;
 use super::icp::is_small;
 use super::normal_equations::{NormalEquations, Rows, TileSums, huber_weight};
+use super::pose_correction::PoseCorrection;
 use super::pyramid::Level;
 use super::raycast::ModelMap;
 use super::sdf_alignment::{self, Slopes};
+use super::track::Track;
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
 use crate::geometry::{CameraModel, Motion, Pose, RayGrid, motion_between};
@@ -84,6 +86,8 @@ pub struct Infrared {
 /// A view to compare others to.
 #[derive(Clone)]
 struct KeyView {
+    /// When it was taken, on the device's clock, seconds.
+    time_secs: f64,
     world_from_camera: Pose,
     image: LinearImage,
     /// Albedo times the light's strength, m², smoothed: its slopes are those of the texture, without those of the light. Its sigma
@@ -118,9 +122,21 @@ impl Infrared {
         self.is_in_hand = false;
     }
 
-    /// Forgets the view that others were compared to.
-    pub fn forget_key(&mut self) {
-        self.key = None;
+    /// Moves the view that others are compared to as the model was moved at its time.
+    pub fn correct(&mut self, correction: &PoseCorrection) {
+        if let Some(key) = &mut self.key {
+            let motion = correction.at(key.time_secs);
+            key.world_from_camera = motion * key.world_from_camera;
+            key.surface.move_by(&motion);
+        }
+    }
+
+    /// Forgets the view that others are compared to if it was taken later than `after_secs`.
+    pub fn forget_after(&mut self, after_secs: f64) {
+        let is_later = |key: &KeyView| key.time_secs > after_secs;
+        if self.key.as_ref().is_some_and(is_later) {
+            self.key = None;
+        }
     }
 
     /// Moves an aligned frame in the directions that its geometry leaves free to where its image agrees with the key view;
@@ -166,14 +182,17 @@ impl Infrared {
         })
     }
 
-    /// Keeps the frame in hand as the key view if the one that is kept shows too little of it.
-    pub fn remember(&mut self, level: &Level, model: &ModelMap, world_from_camera: &Pose) {
+    /// Keeps the frame in hand, which was fused where the track now ends, as the key view if the one that is kept shows too little of
+    /// it.
+    pub fn remember(&mut self, level: &Level, model: &ModelMap, track: &Track) {
+        let world_from_camera = &track.world_from_camera;
         let sees_enough = |key: &KeyView| self.overlap(key, level, world_from_camera) > MIN_OVERLAP;
         if self.key.as_ref().is_some_and(sees_enough) {
             return;
         }
         if let Some(image) = self.linear() {
             self.key = Some(KeyView {
+                time_secs: track.time_secs,
                 world_from_camera: *world_from_camera,
                 albedo: self.albedo(&image, level),
                 image,

@@ -2,7 +2,8 @@
 //!
 //! Memory is bounded: once the packed images have filled it, every second frame is let go, from the first on and one for each
 //! that comes, until all are twice as far apart; from then on every second frame is kept, and so on. So memory is always used
-//! in full, and never more.
+//! in full, and never more. A frame that is kept stands for those beside it that are not, and counts for all of them where it is
+//! fused again.
 
 use super::eye::Eye;
 use super::packed_depth::PackedDepth;
@@ -23,6 +24,8 @@ pub struct Keyframe {
     pub given: Option<Pose>,
     /// Which stretch of unbroken tracking it belongs to.
     pub stretch: usize,
+    /// So many frames that were fused it stands for, itself included.
+    pub n_frames: usize,
 }
 
 impl Keyframe {
@@ -44,6 +47,8 @@ pub struct Keyframes {
     next_to_go: usize,
     /// Frames offered since the last that was kept.
     n_skipped: usize,
+    /// The frames that these stand for, and then the next that is kept.
+    n_unkept: usize,
 }
 
 impl Keyframes {
@@ -56,6 +61,7 @@ impl Keyframes {
             stride: 1,
             next_to_go: 1,
             n_skipped: 0,
+            n_unkept: 0,
         }
     }
 
@@ -85,6 +91,7 @@ impl Keyframes {
     /// Takes the frame in hand in, which was fused where the track now ends, unless it is one of those between.
     pub fn offer(&mut self, eye: &Eye, track: &Track, given: Option<Pose>, stretch: usize) {
         self.n_skipped += 1;
+        self.n_unkept += eye.n_frames;
         if self.max_bytes == 0 || (self.n_skipped < self.stride && !self.frames.is_empty()) {
             return;
         }
@@ -98,13 +105,14 @@ impl Keyframes {
             world_from_camera: track.world_from_camera,
             given,
             stretch,
+            n_frames: std::mem::take(&mut self.n_unkept),
         });
         while self.memory_bytes > self.max_bytes && self.frames.len() > 1 {
             self.let_one_go();
         }
     }
 
-    /// Lets all but the first `n` frames go; without any, all begins anew.
+    /// Lets all but the first `n` frames go, with what they stand for; without any, all begins anew.
     pub fn truncate(&mut self, n: usize) {
         if n == 0 {
             *self = Keyframes::new(self.max_bytes);
@@ -112,10 +120,11 @@ impl Keyframes {
         }
         self.frames.truncate(n);
         self.next_to_go = self.next_to_go.clamp(1, n);
+        (self.n_skipped, self.n_unkept) = (0, 0);
         self.memory_bytes = self.frames.iter().map(|f| f.depth.memory_bytes()).sum();
     }
 
-    /// Lets one of at least two frames go.
+    /// Lets one of at least two frames go: the one before it stands for it.
     fn let_one_go(&mut self) {
         if self.next_to_go >= self.frames.len() {
             self.stride *= 2;
@@ -123,6 +132,7 @@ impl Keyframes {
         }
         let gone = self.frames.remove(self.next_to_go);
         self.memory_bytes -= gone.depth.memory_bytes();
+        self.frames[self.next_to_go - 1].n_frames += gone.n_frames;
         self.next_to_go += 1;
     }
 }
@@ -149,6 +159,8 @@ mod tests {
             let frames = keyframes.frames();
             let held: usize = frames.iter().map(|f| f.depth.memory_bytes()).sum();
             assert!(held == keyframes.memory_bytes && held <= max_bytes);
+            let n_frames: usize = frames.iter().map(|f| f.n_frames).sum();
+            assert_eq!(n_frames + keyframes.n_unkept, frame as usize + 1);
             // What was full once stays full.
             assert!(frames.len() >= n_most);
             n_most = frames.len();

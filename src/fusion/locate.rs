@@ -28,7 +28,7 @@ const CLEARLY: f64 = 0.002;
 pub(super) enum Before {
     /// It was tracked, or there was none.
     Tracked,
-    /// It showed no depth, or frames are known to be missing.
+    /// It showed no depth, or frames are known to be missing, or it was too long ago.
     Missing,
     /// It was not found.
     Lost,
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn after_an_interruption_a_wheel_is_not_found_a_ridge_off() {
+    fn after_an_interruption_or_a_pause_a_wheel_is_not_found_a_ridge_off() {
         let (_, _, camera) = frames(0);
         let noise = DepthNoise::of_sensor(Sensor::Kinect2);
         let mut fusion = Fusion::new(camera, noise, small_params());
@@ -244,21 +244,26 @@ mod tests {
         for time_secs in [0.0, 0.03, 0.06] {
             fusion.fuse(&at_rest, time_secs);
         }
+        let mut covered = fusion.clone();
         let dark = at_rest.map(|_| 0.0);
-        assert_eq!(fusion.fuse(&dark, 0.1), TrackingOutcome::NoDepth);
+        assert_eq!(covered.fuse(&dark, 0.1), TrackingOutcome::NoDepth);
         let turned_deg = 9.0;
-        let outcome = fusion.fuse(&wheel(camera, turned_deg), 1.2);
-        let TrackingOutcome::Tracked {
-            world_from_camera, ..
-        } = outcome
-        else {
-            panic!("{outcome:?}");
-        };
-        let turn = world_from_camera.rotation.scaled_axis();
-        assert!(
-            (turn.z.to_degrees() - f64::from(turned_deg)).abs() < 0.3,
-            "{turn:?}"
-        );
+        let turned = wheel(camera, turned_deg);
+        // Covered, or without any depth image for a second.
+        for mut fusion in [covered, fusion] {
+            let outcome = fusion.fuse(&turned, 1.2);
+            let TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } = outcome
+            else {
+                panic!("{outcome:?}");
+            };
+            let turn = world_from_camera.rotation.scaled_axis();
+            assert!(
+                (turn.z.to_degrees() - f64::from(turned_deg)).abs() < 0.3,
+                "{turn:?}"
+            );
+        }
     }
 
     #[test]

@@ -256,7 +256,8 @@ fn settle(
     (nodes, n_loops)
 }
 
-/// Fuses all frames at their corrected poses into an empty volume, or the first of them if it shall not go on, and says which.
+/// Fuses all frames at their corrected poses into a volume, each by the weight of those that it stands for, or the first of them if
+/// it shall not go on, and says which.
 pub(super) fn fuse_again(
     (volume, band): (&mut TsdfVolume, &mut Band),
     frames: &[Keyframe],
@@ -269,10 +270,9 @@ pub(super) fn fuse_again(
         if !goes_on() {
             return false;
         }
-        if eye.take(&frame.depth_m()) {
-            let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
-            eye.fuse_into(volume, band, &pose, Turns::EVERY_FRAME, &mut |_| {});
-        }
+        eye.take_kept(&frame.depth_m(), frame.n_frames);
+        let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
+        eye.fuse_into(volume, band, &pose, Turns::EVERY_FRAME, &mut |_| {});
     }
     true
 }

@@ -101,7 +101,7 @@ impl Fusion {
         self.hypothesis = None;
         self.common = None;
         if let Some(infrared) = &mut self.infrared {
-            infrared.forget_key();
+            infrared.correct(correction);
         }
         let pose = correction.apply(self.track.time_secs, &self.track.world_from_camera);
         self.track.world_from_camera = pose;

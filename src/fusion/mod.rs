@@ -214,10 +214,13 @@ impl Fusion {
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> TrackingOutcome {
-        // A first frame without surface would be a model that no later one is found in.
-        if !self.eye.take(depth) || (self.model.is_none() && !self.eye.sees_surface(MODEL_LEVEL)) {
+        // A first frame of specks would be a model that no later one is found in.
+        if !self.eye.take(depth) {
             self.interrupt();
             return TrackingOutcome::NoDepth;
+        }
+        if self.before == Before::Tracked && self.track.is_outdated(time_secs) {
+            self.interrupt();
         }
         on_step(FusionStep::Preprocess);
         match self.find(time_secs, on_step) {
@@ -273,7 +276,8 @@ impl Fusion {
         self.model.as_ref()
     }
 
-    /// The frames that were tracked and fused, in order of time; where memory for them is short, every second or fourth.
+    /// The frames that were tracked and fused, in order of time; where memory for them is short, every second or fourth,
+    /// which stands for those between.
     pub fn keyframes(&self) -> &[Keyframe] {
         self.keyframes.frames()
     }
@@ -353,12 +357,11 @@ impl Fusion {
         self.places.visit(&self.eye, &self.track);
         self.revisits.visit(&self.track);
         self.keep(None);
-        let world_from_camera = self.track.world_from_camera;
         let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
         if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
             && is_hardly_held
         {
-            infrared.remember(self.eye.level(MODEL_LEVEL), model, &world_from_camera);
+            infrared.remember(self.eye.level(MODEL_LEVEL), model, &self.track);
         }
     }
 

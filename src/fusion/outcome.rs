@@ -77,7 +77,7 @@ pub enum TrackingOutcome {
         /// How well it fits; `None` for the first frame and for given poses.
         fit: Option<Fit>,
     },
-    /// The frame holds (almost) no depth: covered lens or projector, or nothing in range. Tracking waits.
+    /// The frame shows no surface: covered lens or projector, or nothing in range. Tracking waits.
     NoDepth,
     /// The frame does not fit the model and was not fused.
     Lost(LossReason),

@@ -71,7 +71,7 @@ struct Near<'a> {
 }
 
 impl Fusion {
-    /// Whether a depth image (m) holds more than (almost) no depth, so that the camera was not covered.
+    /// Whether a depth image (m) shows any surface, so that the camera was not covered.
     pub fn sees_depth(&mut self, depth: &Image<f32>) -> bool {
         self.eye.take(depth)
     }
@@ -86,12 +86,18 @@ impl Fusion {
         if !self.eye.take(depth) {
             return TrackingOutcome::NoDepth;
         }
-        self.accept(*world_from_camera, time_secs, &mut |_| {});
-        self.keep_as_given(world_from_camera);
-        TrackingOutcome::Tracked {
-            world_from_camera: *world_from_camera,
-            fit: None,
-        }
+        self.fuse_as_given(time_secs, world_from_camera)
+    }
+
+    /// Fuses a frame of another model once more at a pose that is known, with its depth (m) corrected otherwise, and keeps it.
+    pub fn fuse_anew_at(
+        &mut self,
+        depth: &Image<f32>,
+        frame: &Keyframe,
+        world_from_camera: &Pose,
+    ) -> TrackingOutcome {
+        self.eye.take_kept(depth, frame.n_frames);
+        self.fuse_as_given(frame.time_secs, world_from_camera)
     }
 
     /// Whether frames were fused at, or near, poses that are known.
@@ -107,12 +113,15 @@ impl Fusion {
         time_secs: f64,
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
+        if !self.eye.take(depth) {
+            return TrackingOutcome::NoDepth;
+        }
         let near = Near {
             start: world_from_camera,
             given: world_from_camera,
             reach: None,
         };
-        let outcome = self.fuse_polished(depth, time_secs, &near);
+        let outcome = self.fuse_polished(time_secs, &near);
         self.keep_polished(&outcome, world_from_camera);
         outcome
     }
@@ -129,12 +138,13 @@ impl Fusion {
         reach: Option<Motion>,
     ) -> TrackingOutcome {
         self.stretch = frame.stretch;
+        self.eye.take_kept(depth, frame.n_frames);
         let near = Near {
             start: world_from_camera,
             given: frame.given.as_ref().unwrap_or(world_from_camera),
             reach,
         };
-        let outcome = self.fuse_polished(depth, frame.time_secs, &near);
+        let outcome = self.fuse_polished(frame.time_secs, &near);
         if let Some(given) = &frame.given {
             self.keep_polished(&outcome, given);
         } else if let TrackingOutcome::Tracked { fit, .. } = &outcome {
@@ -158,15 +168,18 @@ impl Fusion {
         self.keep(Some(*given));
     }
 
-    fn fuse_polished(
-        &mut self,
-        depth: &Image<f32>,
-        time_secs: f64,
-        near: &Near,
-    ) -> TrackingOutcome {
-        if !self.eye.take(depth) {
-            return TrackingOutcome::NoDepth;
+    /// Fuses the frame in hand at a pose that is known, and keeps it.
+    fn fuse_as_given(&mut self, time_secs: f64, world_from_camera: &Pose) -> TrackingOutcome {
+        self.accept(*world_from_camera, time_secs, &mut |_| {});
+        self.keep_as_given(world_from_camera);
+        TrackingOutcome::Tracked {
+            world_from_camera: *world_from_camera,
+            fit: None,
         }
+    }
+
+    /// Fuses the frame in hand where it lies best near a pose that is known, or there.
+    fn fuse_polished(&mut self, time_secs: f64, near: &Near) -> TrackingOutcome {
         let on_step: &mut OnStep = &mut |_: FusionStep| {};
         let (pose, fit) = match self.polish(near, on_step) {
             Ok((pose, fit)) => (pose, Some(fit)),

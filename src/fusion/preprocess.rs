@@ -19,28 +19,22 @@ pub struct DepthRange {
 /// Rows that one task works on.
 const TASK_ROWS: usize = 16;
 
-/// Sets depths outside the range to 0, the mark of no measurement; NaN and infinities too. Returns how many are left.
-pub fn clip_depth(
-    arch: Arch,
-    image: &Image<f32>,
-    range: DepthRange,
-    frame: &mut FramePyramid,
-) -> usize {
+/// Sets depths outside the range to 0, the mark of no measurement; NaN and infinities too.
+pub fn clip_depth(arch: Arch, image: &Image<f32>, range: DepthRange, frame: &mut FramePyramid) {
     let size = TASK_ROWS * image.width();
     frame
         .depth
         .par_chunks_mut(size)
         .zip(image.data().par_chunks(size))
         .zip(frame.rays.x.par_chunks(size))
-        .map(|((out, depth), rays)| {
+        .for_each(|((out, depth), rays)| {
             arch.dispatch(Clip {
                 out,
                 depth,
                 rays,
                 range,
-            })
-        })
-        .sum()
+            });
+        });
 }
 
 /// Fills the reduced levels from the clipped depth.
@@ -93,18 +87,15 @@ struct Clip<'a> {
 }
 
 impl WithSimd for Clip<'_> {
-    type Output = usize;
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
+    fn with_simd<S: Simd>(self, _: S) {
         let DepthRange { near_m, far_m } = self.range;
-        let mut n_valid = 0u32;
         for ((out, &z), &x) in self.out.iter_mut().zip(self.depth).zip(self.rays) {
             let valid = (z >= near_m) & (z <= far_m) & !x.is_nan();
             *out = if valid { z } else { 0.0 };
-            n_valid += u32::from(valid);
         }
-        n_valid as usize
     }
 }
 
@@ -325,8 +316,9 @@ mod tests {
         let mut frame = FramePyramid::new(&pinhole());
         let mut depth = Image::filled(160, 120, 0.0f32);
         depth.data_mut()[..5].copy_from_slice(&[f32::NAN, 0.2, 1.0, f32::INFINITY, 2.1]);
-        assert_eq!(clip_depth(Arch::new(), &depth, ALL, &mut frame), 1);
+        clip_depth(Arch::new(), &depth, ALL, &mut frame);
         assert_eq!(frame.depth[..5], [0.0, 0.0, 1.0, 0.0, 0.0]);
+        assert!(frame.depth[5..].iter().all(|&z| z == 0.0));
     }
 
     #[test]

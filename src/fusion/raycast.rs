@@ -13,7 +13,7 @@ use super::volume::TsdfVolume;
 use crate::geometry::Pose;
 use crate::geometry::lanes::{LANES, Lane};
 use depth_camera::Image;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -33,6 +33,18 @@ impl ModelMap {
         ModelMap {
             points: Image::filled(width, height, Vector3::zeros()),
             normals: Image::filled(width, height, Vector3::zeros()),
+        }
+    }
+
+    /// Moves all that is seen.
+    pub fn move_by(&mut self, motion: &Pose) {
+        for point in self.points.data_mut() {
+            *point = (motion * Point3::from(point.cast::<f64>()))
+                .coords
+                .cast::<f32>();
+        }
+        for normal in self.normals.data_mut() {
+            *normal = (motion.rotation * normal.cast::<f64>()).cast::<f32>();
         }
     }
 

@@ -376,6 +376,7 @@ mod tests {
                 world_from_camera: at.world_from_camera,
                 given: None,
                 stretch: at.stretch,
+                n_frames: 1,
             });
         }
         RollingShutter::measure(&keyframes, &fusion.volume, &rays)

@@ -1,7 +1,8 @@
 //! Taking frames back: the model as if the last ones had not been fused.
 //!
 //! A volume does not remember what each frame brought, so that those which stay are fused anew, from their packed depth and
-//! at the poses at which they were fused. Where memory was short, that is every second or fourth of them.
+//! at the poses at which they were fused. Where memory was short, that is every second or fourth of them, which then count for
+//! those between.
 
 use super::improvement::{Counted, Improvement, Work};
 use super::locate::Before;
@@ -21,7 +22,7 @@ impl Fusion {
         self.places.forget_after(after_secs);
         self.revisits.forget_after(after_secs);
         if let Some(infrared) = &mut self.infrared {
-            infrared.forget_key();
+            infrared.forget_after(after_secs);
         }
         // The old volume goes first: two of them might not find room.
         self.replace_volume(self.params.empty_volume(), Default::default());
@@ -62,7 +63,7 @@ impl Fusion {
             return;
         };
         let (pose, time_secs) = (last.world_from_camera, last.time_secs);
-        self.eye.take(&last.depth_m());
+        self.eye.take_kept(&last.depth_m(), last.n_frames);
         self.look_from(&pose);
         self.track = Track::at(pose, time_secs);
     }

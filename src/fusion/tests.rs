@@ -105,18 +105,42 @@ fn pixels_without_a_ray_cost_nothing_but_themselves() {
     }
 }
 
+/// A Kinect II's depth: 0.7 m where it shows anything.
+fn depth_where(is_there: impl Fn(usize, usize) -> bool) -> Image<f32> {
+    let (width, height) = (512, 424);
+    let depth_m = |pixel: usize| match is_there(pixel % width, pixel / width) {
+        true => 0.7,
+        false => 0.0,
+    };
+    Image::from_vec(width, height, (0..width * height).map(depth_m).collect())
+}
+
+/// One pixel in 25, none beside another.
+fn specks() -> Image<f32> {
+    depth_where(|u, v| u % 5 == 0 && v % 5 == 0)
+}
+
+#[test]
+fn a_small_object_alone_is_fused_and_specks_are_not_at_given_poses_either() {
+    let (_, _, camera) = frames(0);
+    // A square of 10 cm, 1.2 % of the pixels.
+    let small = depth_where(|u, v| (230..282).contains(&u) && (186..238).contains(&v));
+    let here = Pose::identity();
+    let is_fused = |outcome: TrackingOutcome| matches!(outcome, TrackingOutcome::Tracked { .. });
+    assert!(is_fused(fusion(camera).fuse(&small, 0.0)));
+    assert!(is_fused(fusion(camera).fuse_at(&small, 0.0, &here)));
+    assert!(is_fused(fusion(camera).fuse_near(&small, 0.0, &here)));
+    let mut empty = fusion(camera);
+    assert!(empty.sees_depth(&small) && !empty.sees_depth(&specks()));
+    let outcome = empty.fuse_at(&specks(), 0.0, &here);
+    assert_eq!((outcome, empty.n_fused()), (TrackingOutcome::NoDepth, 0));
+}
+
 #[test]
 fn a_first_frame_of_specks_is_no_model() {
     let (frames, _, camera) = frames(3);
     let mut fusion = fusion(camera);
-    let depth = frames[0].depth.as_ref().expect("Kinect II");
-    // One pixel in 25, which is more than an empty frame has.
-    let specks = (0..depth.data().len()).map(|i| {
-        let (u, v) = (i % depth.width(), i / depth.width());
-        if u % 5 == 0 && v % 5 == 0 { 0.8 } else { 0.0 }
-    });
-    let specks = Image::from_vec(depth.width(), depth.height(), specks.collect());
-    assert_eq!(fusion.fuse(&specks, 0.0), TrackingOutcome::NoDepth);
+    assert_eq!(fusion.fuse(&specks(), 0.0), TrackingOutcome::NoDepth);
     for frame in &frames {
         assert!(matches!(
             fuse(&mut fusion, frame),

@@ -5,7 +5,8 @@ use nalgebra::Vector6;
 
 /// Over gaps up to this long the camera goes on as it did; over longer ones it may have turned back, or be elsewhere.
 pub const STEADY_SECS: f64 = 0.12;
-/// The motion of the last frames is carried on over gaps up to this long; arbitrary, a hand sweeps to and fro in about a second.
+/// The motion of the last frames is carried on over gaps up to this long; longer ones are interruptions. Arbitrary, a hand sweeps
+/// to and fro in about a second.
 pub const MAX_PREDICTION_SECS: f64 = 0.4;
 
 /// The camera's recent motion.
@@ -53,6 +54,11 @@ impl Track {
         self.velocity != Vector6::zeros()
     }
 
+    /// Whether the last frame was so long ago that nothing tells how the camera has moved since.
+    pub fn is_outdated(&self, time_secs: f64) -> bool {
+        time_secs - self.time_secs > MAX_PREDICTION_SECS
+    }
+
     /// Forgets how the camera moved.
     pub fn stop(&mut self) {
         self.velocity = Vector6::zeros();
@@ -95,5 +101,6 @@ mod tests {
         let later = held.moved_to(shifted(0.04), 1.1, true);
         assert!(!later.is_moving());
         assert!((x_of(later.carried_on(1.2)) - 0.07).abs() < 1e-12);
+        assert!(!track.is_outdated(0.4) && track.is_outdated(0.6));
     }
 }

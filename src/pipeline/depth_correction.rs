@@ -408,7 +408,7 @@ impl DepthCorrection {
             }
             let here = carry.to(frame.stretch, &before) * before;
             let outcome = match is_given && !self.fusion.polish.enabled {
-                true => fusion.fuse_at(&depth, time_secs, &here),
+                true => fusion.fuse_anew_at(&depth, frame, &here),
                 false => fusion.fuse_anew(&depth, frame, &here, reach),
             };
             let TrackingOutcome::Tracked {

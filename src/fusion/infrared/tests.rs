@@ -1,11 +1,14 @@
 //! Scenes along which geometry alone lets the camera slide, against the simulated camera's truth.
 
 use crate::fusion::tests::small_params;
-use crate::fusion::{DepthNoise, Fit, Fusion, FusionParams, InfraredOptics, TrackingOutcome};
-use crate::geometry::{CameraModel, Motion, motion_between};
+use crate::fusion::{
+    DepthNoise, Fit, Fusion, FusionParams, InfraredOptics, MODEL_LEVEL, PoseCorrection,
+    TrackingOutcome,
+};
+use crate::geometry::{CameraModel, Motion, Pose, increment, motion_between};
 use crate::shading::Calibration;
 use depth_camera::{DepthCamera, Sensor};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector6};
 use simulated::{Infrared, Orbit, Scene, Setup, SimulatedCamera, Trajectory};
 use std::time::Duration;
 
@@ -43,8 +46,9 @@ struct Walk {
     fits: Vec<Fit>,
 }
 
-fn walk(mut camera: SimulatedCamera, with_infrared: bool) -> Walk {
-    let (info, n_frames) = (camera.info().clone(), camera.n_frames());
+/// An empty model for a camera, which may see its infrared images.
+fn fusion(camera: &SimulatedCamera, with_infrared: bool) -> Fusion {
+    let info = camera.info().clone();
     let model = CameraModel::new(info.intrinsics);
     let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
     let stated = info.light.expect("Kinect II");
@@ -58,10 +62,16 @@ fn walk(mut camera: SimulatedCamera, with_infrared: bool) -> Walk {
         min_conditioning: 0.0,
         ..small_params()
     };
-    let mut fusion = Fusion::new(model, DepthNoise::of_sensor(Sensor::Kinect2), params);
-    if with_infrared {
-        fusion = fusion.with_infrared(model, optics);
+    let fusion = Fusion::new(model, DepthNoise::of_sensor(Sensor::Kinect2), params);
+    match with_infrared {
+        true => fusion.with_infrared(model, optics),
+        false => fusion,
     }
+}
+
+fn walk(mut camera: SimulatedCamera, with_infrared: bool) -> Walk {
+    let n_frames = camera.n_frames();
+    let mut fusion = fusion(&camera, with_infrared);
     let first = camera.true_world_from_camera(0).inverse();
     let (mut n_lost, mut fits, mut drift) = (0, Vec::new(), None);
     let mut worst_rad: f64 = 0.0;
@@ -138,4 +148,61 @@ fn a_printed_ball_on_a_table_is_tracked_by_its_print() {
 #[test]
 fn a_printed_cylinder_on_a_table_is_tracked_by_its_print() {
     check_round(Scene::printed_cylinder, 0.1, 0.2, 0.14);
+}
+
+/// A printed wall as the first of two frames showed it, and the second in hand.
+fn before_a_wall() -> (Fusion, [f64; 2]) {
+    let mut camera = camera(Scene::printed_wall(), Point3::origin(), 24);
+    let mut fusion = fusion(&camera, true);
+    let times = std::array::from_fn(|_| {
+        let frame = camera
+            .grab(Duration::ZERO)
+            .expect("no errors")
+            .expect("more");
+        let (depth, ir) = (
+            frame.depth.expect("Kinect II"),
+            frame.ir.expect("Kinect II"),
+        );
+        fusion.see(&ir);
+        let outcome = fusion.fuse(&depth, frame.device_time_secs);
+        assert!(matches!(outcome, TrackingOutcome::Tracked { .. }));
+        fusion.see(&ir);
+        frame.device_time_secs
+    });
+    (fusion, times)
+}
+
+#[test]
+fn the_key_view_moves_with_the_model_as_it_was_moved_at_its_time() {
+    let (before, [first_secs, last_secs]) = before_a_wall();
+    let motion = increment(&Vector6::new(0.02, -0.01, 0.03, 0.01, 0.02, -0.015));
+    let mut after = before.clone();
+    let images = after.infrared.as_mut().expect("with infrared");
+    images.correct(&PoseCorrection::of_knots(vec![
+        (first_secs, motion),
+        (last_secs, Pose::identity()),
+    ]));
+    let compared = |fusion: &Fusion, pose: &Pose| {
+        let images = fusion.infrared.as_ref().expect("with infrared");
+        let key = images.key.as_ref().expect("the first frame is kept");
+        let linear = images.linear().expect("in hand");
+        images.equations(key, &linear, fusion.eye.level(MODEL_LEVEL), pose)
+    };
+    let pose = before.track.world_from_camera;
+    let (as_it_was, moved) = (compared(&before, &pose), compared(&after, &(motion * pose)));
+    assert!(as_it_was.n_inliers > super::MIN_PIXELS);
+    // Points are kept to 0.1 µm.
+    assert!(as_it_was.n_inliers.abs_diff(moved.n_inliers) * 100 < as_it_was.n_inliers);
+    let ratio = moved.rmse_m() / as_it_was.rmse_m();
+    assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+}
+
+#[test]
+fn the_key_view_is_forgotten_only_with_the_frame_that_it_is_of() {
+    let (mut fusion, [first_secs, _]) = before_a_wall();
+    let images = fusion.infrared.as_mut().expect("with infrared");
+    images.forget_after(first_secs);
+    assert!(images.key.is_some());
+    images.forget_after(first_secs - 0.01);
+    assert!(images.key.is_none());
 }

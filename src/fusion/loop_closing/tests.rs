@@ -2,7 +2,8 @@
 
 use super::super::tests::{frames as simulated_frames, small_params};
 use super::super::{
-    DepthNoise, FusionParams, Improvement, eye::Eye, keyframes::Keyframes, track::Track,
+    DepthNoise, FusionParams, Improvement, eye::Eye, keyframes::Keyframes,
+    marching_cubes::marching_cubes, track::Track,
 };
 use super::*;
 use crate::geometry::{increment, motion_between};
@@ -120,4 +121,46 @@ fn chosen_targets_are_spread_and_end_with_the_nearest() {
     assert_eq!(evenly(&targets, 4), [4, 9, 14, 19]);
     assert_eq!(evenly(&targets[..3], 4), [0, 1, 2]);
     assert!(evenly(&[], 4).is_empty());
+}
+
+#[test]
+fn frames_that_memory_has_no_room_for_are_not_missing_from_the_surface() {
+    const N_FRAMES: usize = 16;
+    // A camera that rests at four places.
+    let (frames, truth, camera) = simulated_frames(4);
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    let params = small_params();
+    let mut eye = Eye::new(&camera, noise, params.depth_range());
+    let mut kept = |max_bytes: usize| {
+        let mut keyframes = Keyframes::new(max_bytes);
+        for index in 0..N_FRAMES {
+            let (frame, pose) = (&frames[index / 4], truth[index / 4]);
+            assert!(eye.take(frame.depth.as_ref().expect("Kinect II")));
+            keyframes.offer(&eye, &Track::at(pose, index as f64), None, 0);
+        }
+        keyframes.frames().to_vec()
+    };
+    let all = kept(usize::MAX);
+    let sizes = all.iter().map(|frame| frame.depth.memory_bytes());
+    let most_bytes = sizes.max().expect("frames");
+    let (half, quarter) = (kept(8 * most_bytes), kept(4 * most_bytes));
+    assert_eq!((half.len(), quarter.len()), (N_FRAMES / 2, N_FRAMES / 4));
+    let area_m2 = |frames: &[Keyframe]| {
+        // Four frames weigh less than this where each is fused as one.
+        let min_weight = 4.0;
+        let (mut volume, mut band) = (params.empty_volume(), Band::default());
+        let anew = (&mut volume, &mut band);
+        fuse_again(anew, frames, &PoseCorrection::default(), &eye, &|| true);
+        marching_cubes(eye.arch, &volume, min_weight).area_m2()
+    };
+    let whole_m2 = area_m2(&all);
+    assert!(whole_m2 > 0.01, "{whole_m2}");
+    for frames in [half, quarter] {
+        let share = area_m2(&frames) / whole_m2;
+        assert!(
+            (share - 1.0).abs() < 0.03,
+            "{} frames: {share}",
+            frames.len()
+        );
+    }
 }

@@ -1,7 +1,7 @@
 //! Poses that err, against the simulated camera's truth.
 
 use crate::fusion::tests::{frames, small_params};
-use crate::fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome};
+use crate::fusion::{DepthNoise, Fusion, FusionParams, Keyframe, TrackingOutcome};
 use crate::geometry::{Motion, Pose, increment, motion_between};
 use depth_camera::Sensor;
 use nalgebra::Vector6;
@@ -151,4 +151,30 @@ fn frames_that_are_fused_anew_are_kept_as_tracked_ones_are() {
     }
     // Nobody gave these poses.
     assert_eq!(anew.n_unpolished(), 0);
+}
+
+#[test]
+fn a_frame_that_is_fused_anew_counts_for_those_that_it_stands_for() {
+    let (frames, truth, camera) = frames(2);
+    let mut before = fusion(camera);
+    for (frame, pose) in frames.iter().zip(&truth) {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        before.fuse_at(depth, frame.device_time_secs, pose);
+    }
+    assert!(before.mesh().faces.is_empty(), "two frames are too few");
+    let (mut near, mut there) = (fusion(camera), fusion(camera));
+    for (frame, pose) in before.keyframes().iter().zip(&truth) {
+        assert_eq!(frame.n_frames, 1);
+        let frame = Keyframe {
+            n_frames: 3,
+            ..frame.clone()
+        };
+        near.fuse_anew(&frame.depth_m(), &frame, pose, None);
+        there.fuse_anew_at(&frame.depth_m(), &frame, pose);
+    }
+    for anew in [near, there] {
+        assert!(!anew.mesh().faces.is_empty());
+        assert_eq!(anew.keyframes().len(), 2);
+        assert!(anew.keyframes().iter().all(|frame| frame.n_frames == 3));
+    }
 }

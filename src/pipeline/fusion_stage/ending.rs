@@ -107,15 +107,21 @@ impl FusionStage {
         }
     }
 
-    /// Lets the shading images settle on the finished model.
-    fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+    /// Lets the shading images settle on the finished model: each goes as its depth does, which is of the last frame that was
+    /// fused by then. A Kinect I took that one before its projector was covered, from a little beside the image's pose.
+    pub(super) fn settle(&mut self, snapshots: Option<&mut SnapshotSelection>) {
         let (fusion, pool, stop) = (&mut self.fusion, &self.pool, &self.stop);
         let snapshots = snapshots.into_iter().flat_map(|s| &mut s.accepted);
         for snapshot in snapshots.take_while(|_| !stop.is_stopped()) {
-            let settled =
-                pool.install(|| fusion.settle(&snapshot.depth_m, &snapshot.world_from_camera));
-            if let Some(pose) = settled {
-                snapshot.world_from_camera = pose;
+            let until_secs = snapshot.device_time_secs;
+            let is_by_then = |(time_secs, _): &&(f64, Pose)| *time_secs <= until_secs;
+            let Some((_, world_from_depth)) = self.trajectory.iter().rfind(is_by_then) else {
+                continue;
+            };
+            let settled = pool.install(|| fusion.settle(&snapshot.depth_m, world_from_depth));
+            if let Some(settled) = settled {
+                let depth_from_image = world_from_depth.inverse() * snapshot.world_from_camera;
+                snapshot.world_from_camera = settled * depth_from_image;
             }
         }
     }

@@ -3,6 +3,7 @@
 use super::*;
 use crate::{
     capture::{EventKind, Tracked},
+    geometry::motion_between,
     pipeline::{
         command::Command,
         edges::{self, WhenFull},
@@ -153,6 +154,50 @@ fn images_are_asked_for_the_calibration_where_there_are_some_and_the_scan_is_not
     stage.stop.stop();
     stage.recalibrate(Some(&selection));
     assert_eq!(stage.revision_clock.timing(), None);
+}
+
+#[test]
+fn a_shading_image_settles_as_its_depth_does_and_keeps_its_place_beside_it() {
+    let mut camera = SimulatedCamera::kinect2_plaque(60, 3);
+    let params = FusionParams {
+        voxel_size_m: 0.004,
+        depth_max_m: 1.5,
+        ..FusionParams::default()
+    };
+    let (surfaces, _) = edges::surfaces();
+    let setup = setup(camera.info().clone(), params, surfaces);
+    let (tracked, _) = edges::tracked(&EventLog::default());
+    let mut stage = FusionStage::new(setup, tracked);
+    let frames = (0..10).map(|_| {
+        let frame = camera.grab(Duration::ZERO).unwrap().unwrap();
+        let outcome = stage.fuse(&frame);
+        assert_eq!(stage.account(&frame, outcome.as_ref()), Place::Fused);
+        frame
+    });
+    let frames: Vec<Frame> = frames.collect();
+    let depth = frames[6].depth.as_ref().unwrap();
+    let (time_secs, world_from_depth) = stage.trajectory[6];
+    let settled = stage.fusion.settle(depth, &world_from_depth).unwrap();
+    let depth_from_image = Pose::translation(0.002, 0.0, 0.0);
+    let mut selection = SnapshotSelection::default();
+    selection.accepted.push(ShadingSnapshot {
+        frame_id: 7,
+        device_time_secs: time_secs + 0.01,
+        n_exposures: 1,
+        ir_counts: Image::filled(1, 1, 0.0),
+        unlit_counts: None,
+        depth_m: depth.clone(),
+        world_from_camera: world_from_depth * depth_from_image,
+    });
+    stage.settle(Some(&mut selection));
+    let off = motion_between(
+        &(settled * depth_from_image),
+        &selection.accepted[0].world_from_camera,
+    );
+    assert!(
+        off.translation_m < 1e-9 && off.rotation_rad < 1e-6,
+        "{off:?}"
+    );
 }
 
 proptest! {
