@@ -22,7 +22,9 @@ pub use calibration::{
 };
 pub use calibration_file::{DeviceCalibration, MeasuredLight};
 pub use calibration_key::{CalibrationKey, KeyOrigin, KeyOrigins, MeasuredSession, Measurement};
-pub use calibration_merge::{MergeReport, calibration_path, merge_into_file};
+pub use calibration_merge::{
+    MergeError, MergeReport, calibration_path, check_merge, merge_into_file,
+};
 pub use control_params::ControlParams;
 pub use device_params::params_for_device;
 pub use layer_places::LayerPlaces;

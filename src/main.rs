@@ -43,10 +43,12 @@ fn main() -> ExitCode {
         Command::Man(args) => package::man(args),
     };
     let verdict = ran.unwrap_or_else(|error| {
+        let told = summary::with_causes(&error);
         if prints_json {
-            summary::print_error(&error);
+            // That nothing can be printed may be the error.
+            let _ = summary::print_error(&told);
         }
-        eprintln!("error: {error:#}");
+        eprintln!("error: {told}");
         Verdict::of_error(&error)
     });
     verdict.into()

@@ -13,10 +13,13 @@ use super::{
 };
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
-use depth_camera::{DepthCamera, Frame};
+use depth_camera::{CameraInfo, DepthCamera, Frame};
 use relief::{
-    config::{Config, MeasuredSession},
+    config::{
+        self, CalibrationKey, Config, DeviceCalibration, MeasuredSession, MergeError, MergeReport,
+    },
     devices::{content_hash, open_recording},
+    shading::Calibration,
 };
 use replay::Pacing;
 use std::{
@@ -86,6 +89,35 @@ fn measured_session(session: &Path) -> anyhow::Result<MeasuredSession> {
 /// The next frame of a recording that is not damaged; `None` at its end.
 fn next_frame(camera: &mut dyn DepthCamera) -> anyhow::Result<Option<Frame>> {
     run::next_frame(camera, &mut 0)
+}
+
+/// Looks whether keys can be written before they are measured.
+fn check_beforehand(
+    path: &Path,
+    device: &DeviceCalibration,
+    keys: &[CalibrationKey],
+    replace: bool,
+) -> anyhow::Result<()> {
+    config::check_merge(path, device, keys, replace).map_err(of_merging)
+}
+
+/// Writes what was measured of a device with a camera into its file.
+fn merge(
+    path: &Path,
+    device: &DeviceCalibration,
+    info: &CameraInfo,
+    replace: bool,
+) -> anyhow::Result<MergeReport> {
+    let shipped = Calibration::shipped_for(info).map_err(anyhow::Error::msg)?;
+    config::merge_into_file(path, device, &shipped, replace).map_err(of_merging)
+}
+
+/// What is refused is bad usage, as in any file of the configuration; what cannot be written is a failure.
+fn of_merging(error: MergeError) -> anyhow::Error {
+    match error {
+        MergeError::Refused(refused) => refused.into(),
+        MergeError::Write { .. } => error.into(),
+    }
 }
 
 /// Where a measurement goes.

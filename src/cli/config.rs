@@ -1,10 +1,10 @@
 //! `relief config`: what is configured, by whom, and whether it makes sense.
 
-use super::run::Verdict;
+use super::{run::Verdict, stdout::Stdout};
 use clap::{Args, Subcommand};
 use relief::config::{LayerPlaces, LayeredConfig, Overrides};
 use serde_json::{Map, Value, json};
-use std::path::PathBuf;
+use std::{io::Write, path::PathBuf};
 
 /// `relief config`.
 #[derive(Debug, Subcommand)]
@@ -55,14 +55,14 @@ fn show(args: &ShowArgs) -> anyhow::Result<Verdict> {
     let places = LayerPlaces::of_machine(args.config.as_deref());
     let layered = LayeredConfig::read(&places, &Overrides::default())?;
     match (args.json, args.origin) {
-        (true, true) => println!("{}", origins(&layered)),
-        (true, false) => println!("{}", serde_json::to_string(&layered.config)?),
+        (true, true) => writeln!(Stdout, "{}", origins(&layered))?,
+        (true, false) => writeln!(Stdout, "{}", serde_json::to_string(&layered.config)?)?,
         (false, true) => {
             for (key, (value, origin)) in layered.entries() {
-                println!("{key} = {value}  # {origin}");
+                writeln!(Stdout, "{key} = {value}  # {origin}")?;
             }
         }
-        (false, false) => print!("{}", toml::to_string(&layered.config)?),
+        (false, false) => write!(Stdout, "{}", toml::to_string(&layered.config)?)?,
     }
     Ok(Verdict::Done)
 }
@@ -85,7 +85,7 @@ fn check(args: &CheckArgs) -> anyhow::Result<Verdict> {
     };
     let layered = LayeredConfig::read(&places, &Overrides::default())?;
     for file in &layered.files {
-        println!("{}: valid", file.display());
+        writeln!(Stdout, "{}: valid", file.display())?;
     }
     let entries = layered.entries();
     let is_set = |origin: &relief::config::Origin| *origin != relief::config::Origin::Default;
@@ -93,6 +93,6 @@ fn check(args: &CheckArgs) -> anyhow::Result<Verdict> {
         .values()
         .filter(|(_, origin)| is_set(origin))
         .count();
-    println!("{n_set} of {} keys are set", entries.len());
+    writeln!(Stdout, "{n_set} of {} keys are set", entries.len())?;
     Ok(Verdict::Done)
 }

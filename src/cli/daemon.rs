@@ -1,9 +1,14 @@
 //! `relief run`: the command line of the daemon.
 
-use super::run::{Verdict, all_processors, calibration_folder};
+use super::{
+    run::{Verdict, all_processors, calibration_folder},
+    values,
+};
 use anyhow::Context;
 use clap::Args;
-use relief::control::{CameraSource, DaemonError, DaemonSetup, SettingsPlaces, run_daemon};
+use relief::control::{
+    CameraSource, DaemonError, DaemonSetup, SettingsPlaces, TokenError, run_daemon,
+};
 use std::{env, net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 
 /// `relief run`.
@@ -41,7 +46,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "DIR")]
     pub calibration_dir: Option<PathBuf>,
     /// Threads of each pool; all processors without it
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = values::threads)]
     pub threads: Option<NonZeroUsize>,
 }
 
@@ -79,9 +84,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Verdict> {
 /// What the end of a daemon means for the exit code.
 pub fn verdict_of(error: &DaemonError) -> Verdict {
     match error {
-        DaemonError::Config(_) | DaemonError::Listen(_) => Verdict::BadConfiguration,
+        DaemonError::Config(_)
+        | DaemonError::Listen(_)
+        | DaemonError::Token(TokenError::Malformed(_)) => Verdict::BadConfiguration,
         DaemonError::Camera(_) => Verdict::NoDevice,
-        DaemonError::Data(_) | DaemonError::Worker(_) => Verdict::StorageFailed,
+        DaemonError::Data(_)
+        | DaemonError::Worker(_)
+        | DaemonError::Token(TokenError::Io { .. }) => Verdict::StorageFailed,
         DaemonError::System(_) => Verdict::Internal,
     }
 }

@@ -2,7 +2,10 @@
 
 mod watch;
 
-use super::{run::Verdict, run::calibration_folder};
+use super::{
+    run::{Verdict, calibrations, require_folder},
+    stdout::Stdout,
+};
 use clap::Args;
 use relief::{
     config::calibration_path,
@@ -15,7 +18,10 @@ use relief::{
 };
 use serde::Serialize;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::{
+    io::{self, ErrorKind, Write},
+    path::{Path, PathBuf},
+};
 
 /// `relief devices`.
 #[derive(Debug, Args)]
@@ -91,30 +97,38 @@ fn entry(kinect: &Kinect) -> Entry<'_> {
 
 /// `relief devices`.
 pub fn devices(args: &DevicesArgs) -> anyhow::Result<Verdict> {
+    require_folder("--root", &args.root)?;
     if args.watch {
         let (root, json) = (args.root.clone(), args.json);
-        control::until_stopped(move |stop| watch::watch(&root, json, stop))??;
-        return Ok(Verdict::Done);
+        return match control::until_stopped(move |stop| watch::watch(&root, json, stop))? {
+            // Nobody listens any more.
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(Verdict::Done),
+            watched => Ok(watched.map(|()| Verdict::Done)?),
+        };
     }
     let kinects = list(&Machine::under(&args.root));
     let entries: Vec<_> = kinects.iter().map(entry).collect();
     if args.json {
-        println!("{}", json!({ "devices": entries }));
+        writeln!(Stdout, "{}", json!({ "devices": entries }))?;
         return Ok(Verdict::Done);
     }
     if entries.is_empty() {
-        println!("no Kinect is plugged in; `relief doctor` looks for the reason");
+        writeln!(
+            Stdout,
+            "no Kinect is plugged in; `relief doctor` looks for the reason"
+        )?;
     }
-    entries.iter().for_each(print_entry);
+    entries.iter().try_for_each(print_entry)?;
     Ok(Verdict::Done)
 }
 
-fn print_entry(entry: &Entry<'_>) {
+fn print_entry(entry: &Entry<'_>) -> io::Result<()> {
     let speed = entry.speed_mbps.map(|speed| format!(" at {speed} Mbit/s"));
     let controller = entry
         .controller
         .map(|controller| format!(", controller {}", controller.address));
-    println!(
+    writeln!(
+        Stdout,
         "{}  {} (release {}), port {}{}{}",
         entry.serial.unwrap_or("(no serial number)"),
         entry.model_name,
@@ -122,22 +136,23 @@ fn print_entry(entry: &Entry<'_>) {
         entry.port,
         speed.unwrap_or_default(),
         controller.unwrap_or_default(),
-    );
+    )?;
     match &entry.obstacle {
-        None => println!("    ready"),
-        Some(obstacle) => println!("    not usable: {obstacle}"),
+        None => writeln!(Stdout, "    ready"),
+        Some(obstacle) => writeln!(Stdout, "    not usable: {obstacle}"),
     }
 }
 
 /// `relief doctor`.
 pub fn doctor(args: &DoctorArgs) -> anyhow::Result<Verdict> {
     if args.print_rules {
-        print!("{}", doctor::UDEV_RULES);
+        write!(Stdout, "{}", doctor::UDEV_RULES)?;
         return Ok(Verdict::Done);
     }
+    require_folder("--root", &args.root)?;
     let machine = Machine::under(&args.root);
     let mut findings = doctor::examine(&machine, &args.data);
-    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;
     let kinects = list(&machine);
     findings.extend(
         kinects
@@ -146,8 +161,12 @@ pub fn doctor(args: &DoctorArgs) -> anyhow::Result<Verdict> {
     );
     let worst = doctor::worst(&findings);
     match args.json {
-        true => println!("{}", json!({ "worst": worst, "findings": findings })),
-        false => findings.iter().for_each(print),
+        true => writeln!(
+            Stdout,
+            "{}",
+            json!({ "worst": worst, "findings": findings })
+        )?,
+        false => findings.iter().try_for_each(print)?,
     }
     Ok(match worst {
         Level::Ok | Level::Warning => Verdict::Done,
@@ -179,15 +198,21 @@ fn calibration(kinect: &Kinect, folder: &Path) -> Option<Finding> {
     Some(finding.about(kinect))
 }
 
-fn print(finding: &Finding) {
+fn print(finding: &Finding) -> io::Result<()> {
     let level = match finding.level {
         Level::Ok => "ok     ",
         Level::Warning => "warning",
         Level::Error => "ERROR  ",
     };
     let device = finding.device.as_ref().map(|device| format!("{device}: "));
-    println!("{level}  {}{}", device.unwrap_or_default(), finding.says);
+    writeln!(
+        Stdout,
+        "{level}  {}{}",
+        device.unwrap_or_default(),
+        finding.says
+    )?;
     if let (Some(mend), Level::Warning | Level::Error) = (&finding.mend, finding.level) {
-        println!("         → {mend}");
+        writeln!(Stdout, "         → {mend}")?;
     }
+    Ok(())
 }

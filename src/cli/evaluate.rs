@@ -10,6 +10,7 @@ mod ablations;
 use super::{
     EvaluateArgs,
     run::{self, FoundScan, Verdict},
+    stdout::Stdout,
 };
 use anyhow::{Context, ensure};
 use depth_camera::CameraInfo;
@@ -28,6 +29,7 @@ use relief::{
     shading::Calibration,
     snapshot::ShadingSnapshot,
 };
+use std::io::Write;
 
 /// `relief evaluate`.
 pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
@@ -50,8 +52,12 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
         pool.install(|| scan.evaluate(args, truth.as_ref(), &found.calibration, &config.refine))?;
     write_evaluation(out.path(), &report)?;
     match args.json {
-        true => println!("{}", serde_json::to_string(&report)?),
-        false => println!("evaluation: {}", out.path().join("evaluation.md").display()),
+        true => writeln!(Stdout, "{}", serde_json::to_string(&report)?)?,
+        false => writeln!(
+            Stdout,
+            "evaluation: {}",
+            out.path().join("evaluation.md").display()
+        )?,
     }
     Ok(Verdict::Done)
 }

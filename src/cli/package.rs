@@ -1,10 +1,10 @@
 //! What comes with the program in a package: completions and man pages, made from the command line itself.
 
-use super::{Cli, run::Verdict};
+use super::{Cli, run::Verdict, stdout::Stdout};
 use anyhow::Context;
 use clap::{Args, CommandFactory};
 use clap_complete::Shell;
-use std::{fs, io, path::PathBuf};
+use std::{fs, io::Write, path::PathBuf};
 
 /// `relief completions`.
 #[derive(Debug, Args)]
@@ -24,7 +24,7 @@ pub struct ManArgs {
 pub fn completions(args: &CompletionsArgs) -> anyhow::Result<Verdict> {
     let mut text = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "relief", &mut text);
-    io::Write::write_all(&mut io::stdout(), &text).context("cannot print the completions")?;
+    Stdout.write_all(&text)?;
     Ok(Verdict::Done)
 }
 

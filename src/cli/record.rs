@@ -1,6 +1,9 @@
 //! `relief record`: a live device into a folder, decoded or raw.
 
-use super::{run::Verdict, run::calibration_folder};
+use super::{
+    run::{Verdict, calibrations},
+    stdout::Stdout,
+};
 use anyhow::{Context, ensure};
 use clap::Args;
 use depth_camera::{CameraError, DepthCamera, Frame};
@@ -12,6 +15,7 @@ use relief::{
 use replay::{SessionWriter, WriteError};
 use serde::Serialize;
 use std::{
+    io::Write,
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
@@ -79,7 +83,7 @@ struct Summary {
 /// `relief record`.
 pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
-    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;
     let places = CalibrationPlaces {
         given: args.calibration.as_deref(),
         folder: &folder,
@@ -97,8 +101,9 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
     let limit = args.seconds.map(Duration::from_secs_f64);
     let summary = control::until_stopped(move |stop| run(sink, limit, stop))??;
     match args.json {
-        true => println!("{}", serde_json::to_string(&summary)?),
-        false => println!(
+        true => writeln!(Stdout, "{}", serde_json::to_string(&summary)?)?,
+        false => writeln!(
+            Stdout,
             "{} frames of {} recorded in {} ({:.1} s, {} damaged, {} missed)",
             summary.recorded,
             summary.serial,
@@ -106,7 +111,7 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
             summary.seconds,
             summary.damaged,
             summary.missed
-        ),
+        )?,
     }
     Ok(Verdict::Done)
 }

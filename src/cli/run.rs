@@ -1,6 +1,9 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
-use super::{DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, summary};
+use super::{
+    DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, stdout::Stdout,
+    summary,
+};
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Frame, Sensor};
 use relief::{
@@ -17,6 +20,7 @@ use relief::{
 use replay::{Pacing, SessionWriter};
 use simulated::SimulatedCamera;
 use std::{
+    io::Write,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -90,15 +94,11 @@ pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict>
     let params = pipeline_params(args, config, camera.info())?;
     let folder = OutputFolder::claim(&args.out)?;
     let outcome = control::operate(|| Pipeline::spawn(camera, params, folder), progress)?;
-    say(&outcome, args.json)
-}
-
-fn say(outcome: &Outcome, as_json: bool) -> anyhow::Result<Verdict> {
-    match as_json {
-        true => summary::print_json(outcome)?,
-        false => summary::print_text(outcome),
+    match args.json {
+        true => summary::print_json(&outcome)?,
+        false => summary::print_scan(&outcome)?,
     }
-    Ok(Verdict::of_outcome(outcome))
+    Ok(Verdict::of_outcome(&outcome))
 }
 
 /// A recorded scan with its configuration and calibration.
@@ -115,22 +115,24 @@ impl FoundScan {
     /// Reads what the arguments name.
     pub fn read(args: &RecordedScanArgs) -> anyhow::Result<Self> {
         let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
-        Self::read_with(config, args)
+        let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;
+        Self::read_with(config, args, &folder)
     }
 
     /// Reads what the arguments name, with the configuration given and nothing of this machine.
     fn read_alone(args: &RecordedScanArgs) -> anyhow::Result<Self> {
         let places = LayerPlaces::only(args.config.as_deref());
         let layered = LayeredConfig::read(&places, &Overrides::default())?;
-        Self::read_with(layered.config, args)
+        // The daemon's worker names its folder, whether there is one or not.
+        let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+        Self::read_with(layered.config, args, &folder)
     }
 
-    fn read_with(config: Config, args: &RecordedScanArgs) -> anyhow::Result<Self> {
+    fn read_with(config: Config, args: &RecordedScanArgs, folder: &Path) -> anyhow::Result<Self> {
         let recorded = RecordedScan::read(&args.output)?;
-        let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
         let places = CalibrationPlaces {
             given: args.calibration.as_deref(),
-            folder: &folder,
+            folder,
             session: Some(&args.output),
         };
         let found = config::find_calibration(&recorded.info, &places)?;
@@ -187,7 +189,11 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         || Pipeline::spawn_refinement(recorded, params, folder),
         progress,
     )?;
-    say(&outcome, args.json || args.progress_json)
+    match args.json || args.progress_json {
+        true => summary::print_json(&outcome)?,
+        false => summary::print_refinement(&outcome)?,
+    }
+    Ok(Verdict::of_outcome(&outcome))
 }
 
 fn pipeline_params(
@@ -195,7 +201,7 @@ fn pipeline_params(
     config: Config,
     info: &CameraInfo,
 ) -> anyhow::Result<PipelineParams> {
-    let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
+    let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;
     let places = CalibrationPlaces {
         given: args.calibration.as_deref(),
         folder: &folder,
@@ -203,6 +209,10 @@ fn pipeline_params(
     };
     let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
+    let unknown_keys = replay::unknown_keys(&args.session);
+    for unknown in &unknown_keys {
+        tracing::warn!("{unknown}");
+    }
     Ok(PipelineParams {
         session: session_name(&args.session),
         capture: config.capture,
@@ -212,7 +222,7 @@ fn pipeline_params(
         object: config.object,
         refine: config.refine,
         is_refined: !args.no_refine,
-        warnings: found.announce(info),
+        warnings: [found.announce(info), unknown_keys].concat(),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
@@ -295,7 +305,11 @@ pub fn simulate(args: &SimulateArgs) -> anyhow::Result<Verdict> {
     if n_written == 0 {
         bail!("the simulation gave no frame");
     }
-    println!("{n_written} frames recorded in {}", args.out.display());
+    writeln!(
+        Stdout,
+        "{n_written} frames recorded in {}",
+        args.out.display()
+    )?;
     Ok(Verdict::Done)
 }
 
@@ -306,6 +320,28 @@ pub fn calibration_folder(given: Option<&Path>, config: Option<&Path>) -> PathBu
         (None, Some(folder)) => folder.join("calibration"),
         (None, None) => PathBuf::from("calibration"),
     }
+}
+
+/// Looks whether a folder that a flag names, to be read from, is there.
+pub(super) fn require_folder(flag: &str, folder: &Path) -> Result<(), ConfigError> {
+    match folder.is_dir() {
+        true => Ok(()),
+        false => Err(ConfigError {
+            origin: flag.to_owned(),
+            what: format!("{} is no folder", folder.display()),
+        }),
+    }
+}
+
+/// As [`calibration_folder`], to be read from: one that is given must be there.
+pub(super) fn calibrations(
+    given: Option<&Path>,
+    config: Option<&Path>,
+) -> Result<PathBuf, ConfigError> {
+    if let Some(folder) = given {
+        require_folder("--calibration-dir", folder)?;
+    }
+    Ok(calibration_folder(given, config))
 }
 
 /// The next frame of a recording that is not damaged; `None` at its end. Those that are damaged are counted.

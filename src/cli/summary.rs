@@ -1,11 +1,13 @@
 //! What the program says on standard output when a run is over.
 
+use super::stdout::Stdout;
 use relief::{
-    export::{BaseMesh, FrameCounts, HeldOut, Report, StageTiming, Tracking},
+    export::{BaseMesh, FrameCounts, HeldOut, Remeshing, Report, StageTiming, Tracking},
     pipeline::{Ending, Outcome},
 };
 use serde::Serialize;
 use serde_json::json;
+use std::io::{self, Write};
 
 /// The machine-readable summary: the report without what belongs to single views and iterations.
 #[derive(Serialize)]
@@ -39,6 +41,7 @@ struct Refined<'a> {
     n_views: usize,
     n_iterations: usize,
     edge_length_m: f64,
+    remeshing: Remeshing,
     rmse_before: f64,
     rmse_after: f64,
     held_out: HeldOut,
@@ -47,18 +50,33 @@ struct Refined<'a> {
 /// Prints the summary as one JSON object on one line.
 ///
 /// # Errors
-/// Never for what a run leaves behind; numbers that do not exist are `null`.
-pub fn print_json(outcome: &Outcome) -> serde_json::Result<()> {
-    println!("{}", serde_json::to_string(&summary(outcome))?);
+/// If it cannot be printed.
+pub fn print_json(outcome: &Outcome) -> anyhow::Result<()> {
+    writeln!(Stdout, "{}", serde_json::to_string(&summary(outcome))?)?;
     Ok(())
 }
 
+/// An error with its causes, each once: most errors tell of their cause themselves.
+pub fn with_causes(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !told.contains(&cause) {
+            told += &format!(": {cause}");
+        }
+    }
+    told
+}
+
 /// Prints an error as the JSON object that replaces the summary.
-pub fn print_error(error: &anyhow::Error) {
-    println!(
+///
+/// # Errors
+/// If it cannot be printed.
+pub fn print_error(told: &str) -> io::Result<()> {
+    writeln!(
+        Stdout,
         "{}",
-        json!({"status": "failed", "failures": [format!("{error:#}")]})
-    );
+        json!({"status": "failed", "failures": [told]})
+    )
 }
 
 fn summary(outcome: &Outcome) -> Summary<'_> {
@@ -72,6 +90,7 @@ fn summary(outcome: &Outcome) -> Summary<'_> {
         n_views: mesh.views.len(),
         n_iterations: mesh.iterations.len(),
         edge_length_m: mesh.edge_length_m,
+        remeshing: mesh.remeshing,
         rmse_before: mesh.rmse_before,
         rmse_after: mesh.rmse_after,
         held_out: mesh.held_out,
@@ -100,29 +119,63 @@ fn summary(outcome: &Outcome) -> Summary<'_> {
     }
 }
 
-/// Prints the summary as a person reads it.
-pub fn print_text(outcome: &Outcome) {
+/// Prints the summary of a scan as a person reads it.
+///
+/// # Errors
+/// If it cannot be printed.
+pub fn print_scan(outcome: &Outcome) -> io::Result<()> {
     let report = &outcome.report;
-    print_frames(report);
+    writeln!(
+        Stdout,
+        "{}; {:.1} s of computing",
+        frames(&report.frames),
+        computing_secs(report)
+    )?;
+    print_outputs(outcome)
+}
+
+/// Prints the summary of a refinement of what was fused before as a person reads it.
+///
+/// # Errors
+/// If it cannot be printed.
+pub fn print_refinement(outcome: &Outcome) -> io::Result<()> {
+    let report = &outcome.report;
+    writeln!(
+        Stdout,
+        "{} frames were fused before; {:.1} s of computing",
+        report.frames.fused,
+        computing_secs(report)
+    )?;
+    print_outputs(outcome)
+}
+
+fn print_outputs(outcome: &Outcome) -> io::Result<()> {
+    let report = &outcome.report;
     if report.base_mesh.faces > 0 {
-        println!("base mesh:    {}", report.base_mesh.path);
+        writeln!(Stdout, "base mesh:    {}", report.base_mesh.path)?;
     }
     match (&report.refined_mesh, &report.not_refined_reason) {
-        (Some(mesh), _) => println!("refined mesh: {} ({})", mesh.path, mesh.status),
-        (None, Some(reason)) => println!("not refined:  {reason}"),
+        (Some(mesh), _) => writeln!(Stdout, "refined mesh: {} ({})", mesh.path, mesh.status)?,
+        (None, Some(reason)) => writeln!(Stdout, "not refined:  {reason}")?,
         (None, None) => {}
     }
     if let Some(page) = report.outputs.iter().find(|path| path.ends_with(".html")) {
-        println!("report:       {page}");
+        writeln!(Stdout, "report:       {page}")?;
     }
     for failure in &outcome.failures {
         eprintln!("error: {failure}");
     }
+    Ok(())
 }
 
-fn print_frames(report: &Report) {
-    let frames = &report.frames;
-    let seconds: f64 = report.timings.iter().map(|stage| stage.total_secs).sum();
+fn computing_secs(report: &Report) -> f64 {
+    let stages = report.timings.iter().map(|stage| stage.total_secs);
+    // A sum of nothing is -0.
+    0.0 + stages.sum::<f64>()
+}
+
+/// What became of the frames, in a line.
+fn frames(frames: &FrameCounts) -> String {
     let mut line = format!("{} of {} frames fused", frames.fused, frames.total);
     for (n, what) in [
         (frames.lost, "lost"),
@@ -135,5 +188,31 @@ fn print_frames(report: &Report) {
             line += &format!(", {n} {what}");
         }
     }
-    println!("{line}; {seconds:.1} s of computing");
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context;
+    use relief::pipeline::OutputFolderError;
+
+    #[test]
+    fn causes_are_told_once() {
+        let full = || io::Error::from_raw_os_error(28);
+        let error = OutputFolderError::Io {
+            folder: "out".into(),
+            source: full(),
+        };
+        let error = anyhow::Error::from(error).context("cannot begin");
+        assert_eq!(
+            with_causes(&error),
+            "cannot begin: cannot use output folder out: No space left on device (os error 28)"
+        );
+        let error = Err::<(), _>(full()).context("cannot record").unwrap_err();
+        assert_eq!(
+            with_causes(&error),
+            "cannot record: No space left on device (os error 28)"
+        );
+    }
 }

@@ -6,7 +6,7 @@ use depth_camera::Sensor;
 use nalgebra::{Quaternion, Translation3, Unit};
 use relief::geometry::Pose;
 use relief::refine::{Crop, Roi};
-use std::str::FromStr;
+use std::{num::NonZeroUsize, str::FromStr};
 
 /// A number of folds.
 pub fn folds(text: &str) -> anyhow::Result<usize> {
@@ -18,6 +18,19 @@ pub fn folds(text: &str) -> anyhow::Result<usize> {
         "{n} folds, must be 0 or 2 to 64"
     );
     Ok(n)
+}
+
+/// More threads than any machine has use for.
+const MAX_THREADS: usize = 1024;
+
+/// A number of threads.
+pub fn threads(text: &str) -> anyhow::Result<NonZeroUsize> {
+    let n: usize = text
+        .parse()
+        .with_context(|| format!("\"{text}\" is no number"))?;
+    NonZeroUsize::new(n)
+        .filter(|n| n.get() <= MAX_THREADS)
+        .with_context(|| format!("{n} threads, must be 1 to {MAX_THREADS}"))
 }
 
 /// A sensor by name.
@@ -124,6 +137,18 @@ mod tests {
             assert_eq!(error.to_string(), message);
             let error = format!("box={text}").parse::<CropArg>().unwrap_err();
             assert_eq!(error.to_string(), message);
+        }
+    }
+
+    #[test]
+    fn threads_are_as_many_as_a_machine_may_have() {
+        assert_eq!(threads("1024").unwrap().get(), 1024);
+        for (text, message) in [
+            ("0", "0 threads, must be 1 to 1024"),
+            ("100000", "100000 threads, must be 1 to 1024"),
+            ("two", "\"two\" is no number"),
+        ] {
+            assert_eq!(threads(text).unwrap_err().to_string(), message);
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::{CalibrationKey, ConfigError, DeviceCalibration};
 use crate::{atomic_file::write_atomically, shading::Calibration};
+use rustix::fs::Access;
 use std::{
     fs::{self, OpenOptions},
     io::{self, Write},
@@ -21,6 +22,31 @@ pub struct MergeReport {
     pub replaced: Vec<CalibrationKey>,
     /// Where the file as it was is kept, if a value in it was replaced or converted.
     pub kept: Option<PathBuf>,
+}
+
+/// Why a measurement cannot be written; nothing was changed then.
+#[derive(Debug, thiserror::Error)]
+pub enum MergeError {
+    /// The file, or what would be written, makes no sense, or is not to be changed.
+    #[error(transparent)]
+    Refused(#[from] ConfigError),
+    /// The system does not take the file.
+    #[error("cannot write {}: {cause}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        cause: io::Error,
+    },
+}
+
+impl MergeError {
+    fn write(path: &Path) -> impl Fn(io::Error) -> Self + '_ {
+        move |cause| MergeError::Write {
+            path: path.to_owned(),
+            cause,
+        }
+    }
 }
 
 /// The file of a device in the folder of calibrations.
@@ -55,19 +81,14 @@ pub fn merge_into_file(
     new: &DeviceCalibration,
     shipped: &Calibration,
     replace: bool,
-) -> Result<MergeReport, ConfigError> {
+) -> Result<MergeReport, MergeError> {
     let in_file = |what: &dyn ToString| ConfigError::in_file(path, what.to_string());
     new.validate().map_err(|what| in_file(&what))?;
-    let exists = path.try_exists().map_err(|error| in_file(&error))?;
-    let mut device = match exists {
-        true => DeviceCalibration::read(path)?,
-        false => DeviceCalibration::new(new.serial.clone(), new.sensor),
-    };
-    check_same_device(path, &device, new).map_err(|what| in_file(&what))?;
+    let mut device = device_in(path, new)?;
     let (replaced, added): (Vec<_>, Vec<_>) = new.keys().partition(|key| device.holds(*key));
     if !replace && !replaced.is_empty() {
         let refused = replaced.iter().map(|key| refusal(*key, &device, new));
-        return Err(in_file(&refused.collect::<Vec<_>>().join("; ")));
+        return Err(in_file(&refused.collect::<Vec<_>>().join("; ")).into());
     }
     let converted = converted_white_level(&device, new, shipped);
     for key in new.keys() {
@@ -80,14 +101,51 @@ pub fn merge_into_file(
     let text = toml::to_string(&device).map_err(|error| in_file(&error))?;
     let kept = match replaced.is_empty() && converted.is_none() {
         true => None,
-        false => Some(keep(path).map_err(|error| in_file(&error))?),
+        false => Some(keep(path).map_err(MergeError::write(path))?),
     };
-    write(path, &text).map_err(|error| in_file(&error))?;
+    write(path, &text).map_err(MergeError::write(path))?;
     Ok(MergeReport {
         added,
         replaced,
         kept,
     })
+}
+
+/// Looks whether [`merge_into_file`] could write those keys of a device, of which nothing need be known yet.
+///
+/// # Errors
+/// As of [`merge_into_file`].
+pub fn check_merge(
+    path: &Path,
+    device: &DeviceCalibration,
+    keys: &[CalibrationKey],
+    replace: bool,
+) -> Result<(), MergeError> {
+    let old = device_in(path, device)?;
+    if let Some(key) = keys.iter().find(|key| !replace && old.holds(**key)) {
+        let there = already_there(*key, &old);
+        let what = format!("{there}; say --replace to put a new value in its place");
+        return Err(ConfigError::in_file(path, what).into());
+    }
+    rustix::fs::access(nearest_folder(path), Access::WRITE_OK | Access::EXEC_OK)
+        .map_err(|error| MergeError::write(path)(error.into()))
+}
+
+/// The nearest of the folders that a file is to lie in, which may have to be made.
+fn nearest_folder(path: &Path) -> &Path {
+    let above = path.ancestors().skip(1).find(|above| above.exists());
+    above.unwrap_or(Path::new("."))
+}
+
+/// What a device's file holds so far.
+fn device_in(path: &Path, new: &DeviceCalibration) -> Result<DeviceCalibration, ConfigError> {
+    let exists = path.try_exists();
+    let device = match exists.map_err(|error| ConfigError::in_file(path, error))? {
+        true => DeviceCalibration::read(path)?,
+        false => DeviceCalibration::new(new.serial.clone(), new.sensor),
+    };
+    check_same_device(path, &device, new).map_err(|what| ConfigError::in_file(path, what))?;
+    Ok(device)
 }
 
 fn check_same_device(
@@ -129,15 +187,19 @@ fn converted_white_level(
 }
 
 fn refusal(key: CalibrationKey, old: &DeviceCalibration, new: &DeviceCalibration) -> String {
+    format!(
+        "{}; the new value is {}; say --replace to put it in its place",
+        already_there(key, old),
+        new.shown(key)
+    )
+}
+
+fn already_there(key: CalibrationKey, old: &DeviceCalibration) -> String {
     let date = match old.measured.get(&key) {
         Some(measurement) => format!("measured {}", measurement.date),
         None => "set by hand".to_owned(),
     };
-    format!(
-        "{key} is there already: {}, {date}; the new value is {}; say --replace to put it in its place",
-        old.shown(key),
-        new.shown(key)
-    )
+    format!("{key} is there already: {}, {date}", old.shown(key))
 }
 
 /// Copies the file to the first free `<serial>.<n>.toml` beside it.
@@ -269,16 +331,41 @@ mod tests {
     }
 
     #[test]
+    fn what_could_not_be_written_is_known_beforehand() {
+        let root = tempfile::tempdir().unwrap();
+        let path = calibration_path(&root.path().join("a/b"), "A1.2").unwrap();
+        let check =
+            |path: &Path, replace| check_merge(path, &device(), &[CalibrationKey::Gamma], replace);
+        check(&path, false).unwrap();
+        assert!(!root.path().join("a").exists());
+        merge_into_file(&path, &with_gamma(0.8), &shipped(), false).unwrap();
+        let error = check(&path, false).unwrap_err();
+        assert!(matches!(error, MergeError::Refused(_)), "{error}");
+        let there = "gamma is there already: 0.8, measured 2024-02-29T12:34:56Z; say --replace";
+        assert!(error.to_string().contains(there), "{error}");
+        check(&path, true).unwrap();
+
+        fs::write(root.path().join("file"), "").unwrap();
+        let path = calibration_path(&root.path().join("file"), "A1.2").unwrap();
+        let error = check(&path, false).unwrap_err();
+        assert!(error.to_string().contains("Not a directory"), "{error}");
+    }
+
+    #[test]
     fn the_file_of_another_device_is_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = calibration_path(folder.path(), "A1.2").unwrap();
         merge_into_file(&path, &with_gamma(0.8), &shipped(), false).unwrap();
         let other = DeviceCalibration::new("A1.2".to_owned(), Sensor::Kinect2);
         let error = merge_into_file(&path, &other, &shipped(), true).unwrap_err();
-        assert_eq!(error.what, "sensor is \"kinect1\", must be \"kinect2\"");
+        assert!(
+            error
+                .to_string()
+                .ends_with(": sensor is \"kinect1\", must be \"kinect2\"")
+        );
         let other = DeviceCalibration::new("B".to_owned(), Sensor::Kinect1);
         let error = merge_into_file(&path, &other, &shipped(), true).unwrap_err();
-        assert_eq!(error.what, "must be named B.toml");
+        assert!(error.to_string().ends_with(": must be named B.toml"));
         for serial in ["", "..", "a/b", "/a", "a/"] {
             assert!(calibration_path(folder.path(), serial).is_err(), "{serial}");
         }
@@ -289,7 +376,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = calibration_path(folder.path(), "A1.2").unwrap();
         let error = merge_into_file(&path, &with_gamma(7.0), &shipped(), false).unwrap_err();
-        assert_eq!(error.what, "gamma is 7, must be 0.2 to 3");
+        assert!(
+            error
+                .to_string()
+                .ends_with(": gamma is 7, must be 0.2 to 3")
+        );
         assert!(!path.exists());
     }
 }

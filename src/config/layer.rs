@@ -5,13 +5,20 @@ use crate::refine::Crop;
 use serde::Deserialize;
 use std::{collections::BTreeMap, ops::Range, path::Path};
 use toml::{
-    Table, Value,
-    de::{DeTable, DeValue},
+    Spanned, Table, Value,
+    de::{DeString, DeTable, DeValue},
 };
 
 /// Environment variables that set a key begin so, and have [`SEPARATOR`] between the tables' names.
 const PREFIX: &str = "RELIEF_";
 const SEPARATOR: &str = "__";
+
+/// What the parser says of a key that is given twice, and of a value that is no name of a choice.
+const DUPLICATE: &str = "duplicate key";
+const NO_CHOICE: [&str; 2] = [
+    "wanted string or table",
+    "invalid type: unit variant, expected string only",
+];
 
 /// One layer.
 #[derive(Clone, Debug, Default)]
@@ -42,26 +49,33 @@ impl Layer {
     /// For what is no TOML, an unknown key and a value of another kind, naming line and key.
     pub fn of_file(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
-        let mut spans = Vec::new();
-        let at_span = |error: &toml::de::Error, spans: &[(String, Range<usize>)]| {
-            let start = error.span().map(|span| span.start);
-            let key = start.and_then(|at| spans.iter().find(|(_, span)| span.contains(&at)));
-            let message = error.message();
+        let at_span = |error: &toml::de::Error, parsed: Option<&DeTable>| {
+            let span = error.span();
+            let key = span.as_ref().zip(parsed);
+            let key = key.and_then(|(span, table)| key_at(table, span.start, ""));
+            let what = match (key, error.message()) {
+                (Some(key), message) => format!("{key}: {}", with_allowed(&key, message)),
+                (None, message @ DUPLICATE) => {
+                    let key = span.clone().and_then(|span| text.get(span));
+                    format!("{message} `{}`", key.unwrap_or_default())
+                }
+                (None, message) => message.to_owned(),
+            };
             ConfigError {
-                origin: match start {
-                    Some(at) => Origin::File(path.to_owned(), line(at)).to_string(),
+                origin: match span {
+                    Some(span) => Origin::File(path.to_owned(), line(span.start)).to_string(),
                     None => path.display().to_string(),
                 },
-                what: match key {
-                    Some((key, _)) => format!("{key}: {message}"),
-                    None => message.to_owned(),
-                },
+                what,
             }
         };
-        let parsed = DeTable::parse(text).map_err(|error| at_span(&error, &spans))?;
-        leaf_spans(parsed.get_ref(), "", &mut spans);
-        toml::from_str::<Config>(text).map_err(|error| at_span(&error, &spans))?;
-        let table = toml::from_str(text).map_err(|error| at_span(&error, &spans))?;
+        let parsed = DeTable::parse(text).map_err(|error| at_span(&error, None))?;
+        let parsed = parsed.get_ref();
+        let at_key = |error: toml::de::Error| at_span(&error, Some(parsed));
+        toml::from_str::<Config>(text).map_err(at_key)?;
+        let table = toml::from_str(text).map_err(at_key)?;
+        let mut spans = Vec::new();
+        leaf_spans(parsed, "", &mut spans);
         let origin = |span: Range<usize>| Origin::File(path.to_owned(), line(span.start));
         Ok(Layer {
             table,
@@ -90,9 +104,12 @@ impl Layer {
             }
             let origin = Origin::Environment(name.clone());
             let table = nested(&path, value_of(text));
-            Config::deserialize(table.clone()).map_err(|error| ConfigError {
-                origin: origin.to_string(),
-                what: format!("{}: {}", path.join("."), error.message()),
+            Config::deserialize(table.clone()).map_err(|error| {
+                let key = path.join(".");
+                ConfigError {
+                    origin: origin.to_string(),
+                    what: format!("{key}: {}", with_allowed(&key, error.message())),
+                }
             })?;
             layer.lay(Layer::of_one_origin(table, &origin));
         }
@@ -154,13 +171,48 @@ pub fn leaves(table: &Table, prefix: &str, take: &mut impl FnMut(String, &Value)
     }
 }
 
-/// The same with the places in the text: from the start of the key to the end of its value.
+/// The key that stands at a place of the text, with its value, or the table that begins there.
+fn key_at(table: &DeTable, at: usize, prefix: &str) -> Option<String> {
+    table.iter().find_map(|(key, value)| {
+        let name = format!("{prefix}{}", key.get_ref());
+        match value.get_ref() {
+            DeValue::Table(inner) => key_at(inner, at, &format!("{name}."))
+                .or_else(|| (value.span().start == at).then_some(name)),
+            _ => leaf_span(key, value).contains(&at).then_some(name),
+        }
+    })
+}
+
+/// What is wrong with a key, with the values that it may have where it is one of a few.
+fn with_allowed(key: &str, message: &str) -> String {
+    if !NO_CHOICE.contains(&message) {
+        return message.to_owned();
+    }
+    // What is none of them is told with all of them.
+    let path: Vec<&str> = key.split('.').collect();
+    let none = nested(&path, Value::String(String::new()));
+    let refused = Config::deserialize(none).err();
+    let allowed = refused
+        .as_ref()
+        .and_then(|error| error.message().split_once("expected "));
+    allowed.map_or_else(
+        || message.to_owned(),
+        |(_, allowed)| format!("must be {allowed}"),
+    )
+}
+
+/// From the start of the key to the end of its value.
+fn leaf_span(key: &Spanned<DeString>, value: &Spanned<DeValue>) -> Range<usize> {
+    key.span().start..value.span().end.max(key.span().end)
+}
+
+/// As [`leaves`], with the places in the text.
 fn leaf_spans(table: &DeTable, prefix: &str, found: &mut Vec<(String, Range<usize>)>) {
     for (key, value) in table {
         let name = format!("{prefix}{}", key.get_ref());
         match value.get_ref() {
             DeValue::Table(inner) => leaf_spans(inner, &format!("{name}."), found),
-            _ => found.push((name, key.span().start..value.span().end.max(key.span().end))),
+            _ => found.push((name, leaf_span(key, value))),
         }
     }
 }

@@ -188,6 +188,18 @@ mod tests {
                 "given.toml:2: fusion.icp.iterations: invalid type: string \"many\"",
             ),
             ("[fusion]\nvoxel_size_m = \n", "given.toml:2: "),
+            (
+                "\n[fusion.rolling_shutter]\nn = 1\n",
+                "given.toml:2: fusion.rolling_shutter: invalid type: map, expected a boolean",
+            ),
+            (
+                "[fusion]\nvoxel_size_m = 0.004\nvoxel_size_m = 0.005\n",
+                "given.toml:3: duplicate key `voxel_size_m`",
+            ),
+            (
+                "[capture]\nrecord_format = 3\n",
+                "given.toml:2: capture.record_format: must be `mcap` or `folder`",
+            ),
             ("[wheels]\nn = 4\n", "given.toml:1: unknown field `wheels`"),
         ] {
             let machine = Machine::new(&[("given.toml", text)]);
@@ -206,6 +218,11 @@ mod tests {
                 "RELIEF_FUSION__WHEELS",
                 "4",
                 "environment variable RELIEF_FUSION__WHEELS: fusion.wheels: unknown field",
+            ),
+            (
+                "RELIEF_CAPTURE__RECORD_FORMAT",
+                "3",
+                "environment variable RELIEF_CAPTURE__RECORD_FORMAT: capture.record_format: must be `mcap` or",
             ),
         ] {
             let places = LayerPlaces::only(None).with_environment(variables(&[(name, value)]));

@@ -57,7 +57,10 @@ impl Clock {
         let progress = JobProgress {
             round: refinement.rounds,
             step: refinement.n_steps,
-            energy_share: refinement.energy_share,
+            energy_share: match refinement.n_steps {
+                0 => 1.0,
+                _ => refinement.energy_share,
+            },
             secs_left: self.secs_left(of, now),
         };
         let is_due = self.last.is_none_or(|(when, last)| {
@@ -99,7 +102,8 @@ mod tests {
             status.refinement.energy_share = 0.5;
             clock.tell(&status, start + Duration::from_secs_f64(secs))
         };
-        assert_eq!(tell(0.0, 0, 0).unwrap().secs_left, None);
+        let told = tell(0.0, 0, 0).unwrap();
+        assert_eq!((told.energy_share, told.secs_left), (1.0, None));
         assert_eq!(tell(0.5, 0, 0), None);
         assert_eq!(tell(1.0, 1, 1).unwrap().secs_left, None);
         // One round took 10 s; three are left.

@@ -8,13 +8,15 @@ use crate::geometry::Pose;
 use depth_camera::Image;
 use rayon::prelude::*;
 use std::{
-    fs,
+    fs, io,
     path::{Path, PathBuf},
 };
 
 /// One shading image as it was read.
 #[derive(Clone, Debug)]
 pub struct StoredSnapshot {
+    /// Its folder.
+    pub folder: PathBuf,
     /// Raw IR counts.
     pub ir: Image<u16>,
     /// The same without the light, where that was taken.
@@ -29,21 +31,64 @@ pub struct StoredSnapshot {
     pub meta: serde_json::Value,
 }
 
-/// Reads `dir/snapshots/000`, `001`, … up to the first that is not whole; empty without any.
+/// Reads `dir/snapshots/000`, `001`, …, whichever are there, by number; empty without any. The last may not be whole, where the
+/// program that wrote it was ended: it is left out then.
 ///
 /// # Errors
-/// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be.
+/// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be, and for another
+/// folder that is not whole.
 pub fn read_snapshots(dir: &Path) -> Result<Vec<StoredSnapshot>, ExportError> {
-    let root = dir.join("snapshots");
-    let folders = (0..).map(|index| root.join(folder_name(index)));
-    let whole = folders.take_while(|folder| folder.join("meta.json").is_file());
-    let whole: Vec<PathBuf> = whole.collect();
-    let read: Vec<Result<_, _>> = whole
+    let mut folders = begun_snapshots(&dir.join("snapshots"))?;
+    if let Some(folder) = folders.pop_if(|last| !is_whole(last)) {
+        tracing::warn!(folder = %folder.display(), "the last shading image is not whole, and is left out");
+    }
+    if let Some(folder) = folders.iter().find(|folder| !is_whole(folder)) {
+        return Err(ExportError::malformed(
+            folder,
+            "it holds no meta.json".into(),
+        ));
+    }
+    let read: Vec<Result<_, _>> = folders
         .par_iter()
         .with_max_len(1)
         .map(|folder| read_snapshot(folder))
         .collect();
     read.into_iter().collect()
+}
+
+/// The folders of snapshots by number, those of which anything is there.
+fn begun_snapshots(root: &Path) -> Result<Vec<PathBuf>, ExportError> {
+    let entries = match fs::read_dir(root) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(|cause| ExportError::read(root, cause))?,
+    };
+    let mut numbered = Vec::new();
+    for entry in entries {
+        let folder = entry
+            .map_err(|cause| ExportError::read(root, cause))?
+            .path();
+        let is_begun = FILES.iter().any(|name| folder.join(name).exists());
+        numbered.extend(
+            number_of(&folder)
+                .filter(|_| is_begun)
+                .map(|number| (number, folder)),
+        );
+    }
+    numbered.sort();
+    Ok(numbered.into_iter().map(|(_, folder)| folder).collect())
+}
+
+/// The number of a snapshot by its folder's name.
+fn number_of(folder: &Path) -> Option<usize> {
+    let name = folder.file_name()?.to_str()?;
+    let number = name.parse().ok()?;
+    (folder_name(number) == name).then_some(number)
+}
+
+/// Whether a snapshot was written to its end.
+fn is_whole(folder: &Path) -> bool {
+    let [.., meta] = FILES;
+    folder.join(meta).is_file()
 }
 
 fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
@@ -76,6 +121,7 @@ fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
     let text = fs::read_to_string(&meta).map_err(|cause| ExportError::read(&meta, cause))?;
     let json = serde_json::from_str(&text);
     Ok(StoredSnapshot {
+        folder: folder.to_owned(),
         ir,
         unlit,
         depth_m,
@@ -86,7 +132,7 @@ fn read_snapshot(folder: &Path) -> Result<StoredSnapshot, ExportError> {
 }
 
 fn read_png(path: &Path) -> Result<Image<u16>, ExportError> {
-    let bytes = fs::read(path).map_err(|cause| ExportError::read(path, cause))?;
+    let bytes = replay::read_ordinary_file(path).map_err(|cause| ExportError::read(path, cause))?;
     replay::decode_png(&bytes).map_err(|reason| ExportError::malformed(path, reason))
 }
 
@@ -122,6 +168,44 @@ mod tests {
         assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1.01e-4));
         assert_eq!(back[1].world_from_camera.translation.y, 0.2);
         assert_eq!(back[1].meta["frame_id"], json!(3));
+    }
+
+    #[test]
+    fn every_snapshot_is_read_and_one_that_is_not_whole_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let (ir, mask) = (Image::filled(4, 3, 7u16), Image::filled(4, 3, 255u8));
+        let depth_m = Image::filled(4, 3, 0.7f32);
+        let record = |k: usize| SnapshotRecord {
+            ir: &ir,
+            unlit: None,
+            mask: &mask,
+            depth_m: &depth_m,
+            world_from_camera: Pose::identity(),
+            meta: json!({"frame_id": k}),
+            device_time_secs: k as f64,
+        };
+        let records: Vec<_> = (0..5).map(record).collect();
+        write_snapshots(folder.path(), &records).unwrap();
+        let root = folder.path().join("snapshots");
+        let frames = || {
+            read_snapshots(folder.path()).map(|read| {
+                let ids = read
+                    .iter()
+                    .map(|snapshot| snapshot.meta["frame_id"].as_u64());
+                ids.flatten().collect::<Vec<_>>()
+            })
+        };
+        fs::remove_dir_all(root.join("001")).unwrap();
+        fs::create_dir(root.join("005")).unwrap();
+        assert_eq!(frames().unwrap(), [0, 2, 3, 4]);
+        fs::remove_file(root.join("004/meta.json")).unwrap();
+        assert_eq!(frames().unwrap(), [0, 2, 3]);
+        fs::remove_file(root.join("002/meta.json")).unwrap();
+        let error = frames().unwrap_err().to_string();
+        assert!(
+            error.contains("002 is malformed: it holds no meta.json"),
+            "{error}"
+        );
     }
 
     #[test]

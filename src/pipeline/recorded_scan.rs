@@ -34,6 +34,9 @@ pub enum RecordedScanError {
     /// A file is missing or spoilt.
     #[error(transparent)]
     File(#[from] ExportError),
+    /// There is no such folder.
+    #[error("{} is no output folder of a scan", .0.display())]
+    NoFolder(PathBuf),
     /// There are no shading images, so that the camera is unknown too.
     #[error("{} holds no shading images", .0.display())]
     NoSnapshots(PathBuf),
@@ -65,14 +68,18 @@ impl RecordedScan {
     /// # Errors
     /// If a file is missing or spoilt, or there are no shading images.
     pub fn read(folder: &Path) -> Result<Self, RecordedScanError> {
+        if !folder.is_dir() {
+            return Err(RecordedScanError::NoFolder(folder.to_owned()));
+        }
         let (meshes, stored) = rayon::join(|| read_meshes(folder), || read_snapshots(folder));
         let ((base, delivered), stored) = (meshes?, stored?);
         let trajectory = read_trajectory(&folder.join(TRAJECTORY))?;
         let mut info = None;
         let mut accepted = Vec::with_capacity(stored.len());
-        for (index, snapshot) in stored.into_iter().enumerate() {
+        for snapshot in stored {
+            let path = snapshot.folder.join("meta.json");
             let in_meta = |reason: String| RecordedScanError::Meta {
-                path: folder.join(format!("snapshots/{index:03}/meta.json")),
+                path: path.clone(),
                 reason,
             };
             let meta: SnapshotMeta = serde_json::from_value(snapshot.meta.clone())

@@ -61,6 +61,30 @@ fn a_description_that_makes_no_sense_is_refused() {
 }
 
 #[test]
+fn what_is_no_session_is_said_to_be_none() {
+    let bench = Workbench::with_frames(1);
+    let empty = bench.path("empty");
+    fs::create_dir(&empty).unwrap();
+    let is_neither = "is neither a session's folder (no session.toml, no .mcap) nor an .mcap file";
+    let run = |command: &str, path: &std::path::Path| {
+        let mut relief = Command::new(PROGRAM);
+        let out = bench.path("out");
+        relief.arg(command).arg(path).arg("--out").arg(out);
+        relief.output().unwrap()
+    };
+    let description = bench.session().join("session.toml");
+    for path in [&empty, &description] {
+        let message = format!("{} {is_neither}", path.display());
+        assert_says(&run("replay", path), 1, &[&message]);
+    }
+    assert_says(
+        &run("refine", &description),
+        1,
+        &["session.toml is no output folder of a scan"],
+    );
+}
+
+#[test]
 fn images_that_are_too_large_to_work_on_are_refused() {
     let bench = Workbench::with_frames(1);
     bench.edit("session.toml", "width = ", "width = 4096 # ");
@@ -198,7 +222,20 @@ fn flags_are_checked() {
     ] {
         assert_says(&bench.replay(&[flag, value]), 2, &[piece]);
     }
+    let missing = bench.path("nowhere");
+    let output = bench.replay(&["--calibration-dir", missing.to_str().unwrap()]);
+    assert_says(&output, 2, &["--calibration-dir: ", "nowhere is no folder"]);
+    assert!(!bench.path("out").exists());
     let missing = bench.path("nowhere.toml");
     let output = bench.replay(&["--config", missing.to_str().unwrap()]);
     assert_says(&output, 2, &["nowhere.toml: No such file"]);
+}
+
+#[test]
+fn what_cannot_be_printed_is_told_but_not_that_nobody_reads_it() {
+    let shell = |script: &str| Command::new("sh").args(["-c", script]).output().unwrap();
+    let full = shell(&format!("exec {PROGRAM} config show >/dev/full"));
+    assert_says(&full, 1, &["error: cannot print: No space left on device"]);
+    let unread = shell(&format!("({PROGRAM} config show; echo code $? >&2) | true"));
+    assert_eq!(String::from_utf8_lossy(&unread.stderr), "code 0\n");
 }

@@ -79,6 +79,17 @@ fn a_session_without_silhouettes_is_refused() {
     assert_says(&output, 2, &["\"../a\" must be a plain file name"]);
 }
 
+#[test]
+fn the_offset_of_a_kinect2_is_known_and_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
+    let output = measure(&demo, folder.path(), &[]);
+    assert_says(&output, 0, &[]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("nothing is written"), "{said}");
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+}
+
 /// A Kinect II with a response of its own, which stays at one place after the other.
 fn strange_kinect2(scene: &Scene, eyes: &[Point3<f64>], target: Point3<f64>, folder: &Path) {
     let mut writer: Option<SessionWriter> = None;
@@ -157,9 +168,10 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
     let [x, y, z] = device.light.position_m.unwrap();
     assert!((x - 0.052).hypot(y).hypot(z - 0.004) < 0.006, "{x} {y} {z}");
     assert!(device.flat_field.is_some() && device.gamma == Some(gamma));
-    let walls_only = calibrate("response", &[&wall], &folder);
+    let elsewhere = root.path().join("elsewhere");
+    let walls_only = calibrate("response", &[&wall], &elsewhere);
     assert_says(&walls_only, 1, &["no session shows a sphere"]);
-    let spheres_only = calibrate("flat-field", &[&sphere], &folder);
+    let spheres_only = calibrate("flat-field", &[&sphere], &elsewhere);
     assert_says(&spheres_only, 1, &["no session shows a plain wall"]);
 }
 

@@ -436,6 +436,9 @@ fn the_program_lists_and_examines_and_its_exit_code_tells() {
     let calibration = calibrations.join("A00361A00000001A.toml");
     let doctor = ["doctor", "--json", "--calibration-dir"];
     let doctor = [doctor.as_slice(), &[calibrations.to_str().unwrap()]].concat();
+    let missing = tree.relief(&doctor);
+    assert_says(&missing, 2, &["--calibration-dir: ", "is no folder"]);
+    fs::create_dir(&calibrations).unwrap();
     let examined = tree.relief(&doctor);
     assert_eq!(examined.status.code(), Some(code));
     let of_calibration = |output: &Output| {

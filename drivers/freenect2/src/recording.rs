@@ -146,7 +146,7 @@ impl RawPacketCamera {
         let entry = &self.packets[index];
         let path = self.folder.join(&entry.file_name);
         let named = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
-        let bytes = fs::read(&path).map_err(|error| named(&error))?;
+        let bytes = replay::read_ordinary_file(&path).map_err(|error| named(&error))?;
         let packet = RawPacket::new(&bytes).map_err(|error| named(&error))?;
         let frame_id = index as u64;
         Ok(self

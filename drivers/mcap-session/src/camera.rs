@@ -17,7 +17,7 @@ use crate::{
     plan::{self, Kind, Plan},
     reader::{MessageReader, Step},
     repair,
-    session::{self, SessionRecord},
+    session::{self, SessionRecord, State},
 };
 
 /// An image may come so much later than newer ones: IR that is recorded once it turns out to be wanted.
@@ -53,9 +53,15 @@ pub struct McapCamera {
     n_pending_bytes: usize,
     newest: Option<Stamp>,
     damages: VecDeque<String>,
+    /// Files that end before their end.
+    torn: Vec<String>,
     due: Option<Moment>,
     last: Option<Stamp>,
     next_frame_id: u64,
+    /// Moments that `session.json` tells of.
+    n_told: u64,
+    /// Moments that came, damaged ones too.
+    n_came: u64,
     pacer: Pacer,
 }
 
@@ -67,10 +73,17 @@ impl McapCamera {
     /// [`CameraError::Invalid`] naming file, topic, value and bound; [`CameraError::Busy`] for a recording that is being written.
     pub fn open(path: &Path) -> Result<Self, CameraError> {
         let mut n_frames = None;
+        let mut n_told = 0;
         if path.join(session::FILE_NAME).is_file() {
             make_whole(path)?;
-            let counters = SessionRecord::read(path)?.counters;
+            let SessionRecord {
+                counters, state, ..
+            } = SessionRecord::read(path)?;
             n_frames = usize::try_from(counters.frames).ok().filter(|&n| n > 0);
+            // Repair counts a frame twice whose images lie in two segments.
+            if state == State::Closed {
+                n_told = counters.moments();
+            }
         }
         let files = folder::files(path)?;
         let mut plan = plan::find(path, &files)?;
@@ -84,9 +97,12 @@ impl McapCamera {
             n_pending_bytes: 0,
             newest: None,
             damages: VecDeque::new(),
+            torn: Vec::new(),
             due: None,
             last: None,
             next_frame_id: 0,
+            n_told,
+            n_came: 0,
             pacer: Pacer::default(),
         })
     }
@@ -130,6 +146,7 @@ impl McapCamera {
         match step {
             Step::Read => {}
             Step::Damaged(what) => self.damages.push_back(what),
+            Step::Torn(what) => self.torn.push(what),
             Step::End => self.has_ended = true,
         }
         Ok(())
@@ -236,6 +253,21 @@ impl McapCamera {
         Ok(image)
     }
 
+    /// The end of the stream; before it, once, what is missing.
+    fn end(&mut self) -> Result<Option<Frame>, CameraError> {
+        let n_missing = self.n_told.saturating_sub(self.n_came);
+        self.n_came += n_missing;
+        let missing = (n_missing > 0).then(|| {
+            let (n_told, name) = (self.n_told, session::FILE_NAME);
+            format!("{n_missing} of the {n_told} frames that {name} tells of are missing")
+        });
+        let reasons: Vec<String> = missing.into_iter().chain(self.torn.drain(..)).collect();
+        match reasons.is_empty() {
+            true => Ok(None),
+            false => Err(self.damaged(self.next_frame_id, reasons.join("; "))),
+        }
+    }
+
     fn damaged(&self, frame_id: u64, reason: String) -> CameraError {
         let reason = format!("{}: {reason}", self.path.display());
         CameraError::DamagedFrame { frame_id, reason }
@@ -255,7 +287,7 @@ impl DepthCamera for McapCamera {
             self.due = self.next_moment();
             match (&self.due, self.has_ended) {
                 (Some(_), _) => {}
-                (None, true) => return Ok(None),
+                (None, true) => return self.end(),
                 (None, false) => self.read_on()?,
             }
         }
@@ -272,6 +304,7 @@ impl DepthCamera for McapCamera {
             _ => self.next_frame_id,
         };
         self.next_frame_id = frame_id + 1;
+        self.n_came += 1;
         let decoded = self.decode(frame_id, &moment);
         self.last = self.last.max(Some(moment.stamp));
         decoded

@@ -1,9 +1,9 @@
 //! Opens a recorded session of whatever kind.
 
-use std::path::Path;
+use std::{fs, path::Path};
 
 use depth_camera::{CameraError, DepthCamera};
-use replay::{DepthScale, Pacing, ReplayCamera};
+use replay::{DepthScale, Pacing, ReplayCamera, SESSION_FILE_NAME};
 
 use crate::{camera::McapCamera, content, folder::is_recording};
 
@@ -27,11 +27,26 @@ pub fn open_session(path: &Path, pacing: Pacing) -> Result<Session, CameraError>
             camera: Box::new(camera),
         });
     }
+    check_session(path)?;
     let camera = ReplayCamera::open(path)?.with_pacing(pacing);
     Ok(Session {
         depth_scale: camera.depth_scale(),
         camera: Box::new(camera),
     })
+}
+
+/// Looks whether a path is that of a session at all.
+fn check_session(path: &Path) -> Result<(), CameraError> {
+    let refuse = |what: String| CameraError::Invalid(format!("{} {what}", path.display()));
+    let metadata =
+        fs::metadata(path).map_err(|error| refuse(format!("cannot be read: {error}")))?;
+    let described = path.join(SESSION_FILE_NAME).try_exists();
+    match metadata.is_dir() && described.unwrap_or(true) {
+        true => Ok(()),
+        false => Err(refuse(format!(
+            "is neither a session's folder (no {SESSION_FILE_NAME}, no .mcap) nor an .mcap file"
+        ))),
+    }
 }
 
 /// The hash of what a session holds, `sha256:` and 64 digits: the same wherever it lies.

@@ -1,12 +1,16 @@
 //! Reads the messages of a recording or of somebody else's bag, in the order in which they were written, past what is damaged.
 
-use std::{collections::VecDeque, path::PathBuf};
+use std::{
+    collections::VecDeque,
+    path::{Path, PathBuf},
+};
 
 use mcap::records::op;
 
 use crate::{
     contents::{Channel, Definitions, Message, message, read_records},
     error::{RecordingError, io_error},
+    session::{SessionRecord, State},
     walk::{Piece, Walk},
 };
 
@@ -17,12 +21,14 @@ pub enum Step {
     Read,
     /// Bytes were passed over: file, place and what was found there.
     Damaged(String),
+    /// A file ends before its end: file, place and what was found there.
+    Torn(String),
     /// There are no more.
     End,
 }
 
-/// Reads one file after the other. A file that ends in the middle of a record is read up to there, without a word: so a recording
-/// ends that was not closed.
+/// Reads one file after the other. A file that ends in the middle of a record is read up to there; without a word where its
+/// recording was left open, for so one ends that was not closed.
 pub struct MessageReader {
     files: VecDeque<PathBuf>,
     open: Option<OpenFile>,
@@ -34,6 +40,8 @@ struct OpenFile {
     path: PathBuf,
     walk: Walk,
     definitions: Definitions,
+    /// Whether it belongs to a recording that was left open.
+    was_left_open: bool,
 }
 
 impl MessageReader {
@@ -61,6 +69,12 @@ impl MessageReader {
             self.open = None;
             return Ok(Step::Read);
         };
+        if let Piece::Torn { offset, what } = &piece {
+            return Ok(match open.was_left_open {
+                true => Step::Read,
+                false => Step::Torn(open.told(*offset, &format!("the rest is missing: {what}"))),
+            });
+        }
         let mut hand_on = |definitions: &Definitions, message: Message| {
             if let Some(channel) = definitions.channels.get(&message.header.channel_id) {
                 on_message(channel, &message);
@@ -106,10 +120,7 @@ impl MessageReader {
             Piece::PassedOver | Piece::DataEnd { .. } | Piece::Torn { .. } => None,
         };
         Ok(damage.map_or(Step::Read, |(offset, what)| {
-            Step::Damaged(format!(
-                "{}: {offset} bytes into it {what}",
-                open.path.display()
-            ))
+            Step::Damaged(open.told(offset, &what))
         }))
     }
 
@@ -129,12 +140,25 @@ impl MessageReader {
             definitions.add_own();
         }
         self.open = Some(OpenFile {
+            was_left_open: walk.is_own() && was_left_open(&path),
             path,
             walk,
             definitions,
         });
         Ok(Step::Read)
     }
+}
+
+impl OpenFile {
+    fn told(&self, offset: u64, what: &str) -> String {
+        format!("{}: {offset} bytes into it {what}", self.path.display())
+    }
+}
+
+/// Whether the recording that a segment belongs to was never closed, or is being written.
+fn was_left_open(segment: &Path) -> bool {
+    let record = segment.parent().map(SessionRecord::read);
+    record.is_some_and(|read| read.is_ok_and(|record| record.state == State::Open))
 }
 
 /// Takes up a record that defines something; what is wrong with it, if anything is.

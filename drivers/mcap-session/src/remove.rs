@@ -13,8 +13,15 @@ use crate::{
 /// Removes the files of a recording of Relief and then its folder, unless that holds anything else.
 ///
 /// # Errors
-/// [`RecordingError::InUse`] while it is being recorded; if the folder holds no recording, or the system refuses.
+/// [`RecordingError::InUse`] while it is being recorded; if the folder is a link, which would be left over, or holds no recording;
+/// if the system refuses.
 pub fn remove(folder: &Path) -> Result<(), RecordingError> {
+    // With a slash behind it a link is what it leads to.
+    let named = folder.components().as_path();
+    if named.is_symlink() {
+        let what = "is a link, name the folder that it leads to";
+        return Err(RecordingError::invalid(named, what));
+    }
     SessionRecord::read(folder)?;
     let (mut lock, _) = OpenLock::take_over(folder)?;
     let beside = [bag_metadata::FILE_NAME, "calibration.toml"].map(|name| folder.join(name));

@@ -63,6 +63,11 @@ impl Counters {
         }
     }
 
+    /// Frames of which an image was recorded: not of every frame that was given.
+    pub(crate) fn moments(&self) -> u64 {
+        self.frames.min(self.depth.saturating_add(self.infrared))
+    }
+
     /// Which messages are other in number than those that were found, if any are.
     pub(crate) fn disagreement(&self, found: &Counters) -> Option<String> {
         let pairs = [

@@ -1,11 +1,12 @@
 //! What a session holds, as one number.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use depth_camera::CameraError;
 use sha2::{Digest, Sha256};
 
 use crate::{
+    files::read_ordinary_file,
     lists,
     session::{self, invalid},
 };
@@ -40,7 +41,7 @@ pub fn hash_of_files(
             hash.update(part);
         }
     };
-    let read = |path: &Path| fs::read(path).map_err(|error| invalid(path, error));
+    let read = |path: &Path| read_ordinary_file(path).map_err(|error| invalid(path, error));
     for name in descriptions {
         add(name, &read(&folder.join(name))?);
     }
@@ -48,7 +49,7 @@ pub fn hash_of_files(
         let path = folder.join(name);
         add(name, &read(&path)?);
         for entry in lists::read_list(&path)? {
-            if let Ok(bytes) = fs::read(folder.join(&entry.file_name)) {
+            if let Ok(bytes) = read_ordinary_file(&folder.join(&entry.file_name)) {
                 add(&entry.file_name, &bytes);
             }
         }

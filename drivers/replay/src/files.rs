@@ -35,6 +35,32 @@ pub enum WriteError {
     },
 }
 
+/// A file of a recording is at most so long, bytes: the largest image that is worked on has 16 MiB.
+const MAX_READ_BYTES: u64 = 64 << 20;
+
+/// Reads a whole file of a recording. What is no ordinary file may never end, and is refused.
+///
+/// # Errors
+/// What the system says, or what is wrong with the file.
+pub fn read_ordinary_file(path: &Path) -> io::Result<Vec<u8>> {
+    let metadata = fs::metadata(path)?;
+    if !metadata.is_file() {
+        return Err(io::Error::other("no ordinary file"));
+    }
+    let n_bytes = metadata.len();
+    if n_bytes > MAX_READ_BYTES {
+        return Err(io::Error::other(format!(
+            "{n_bytes} bytes, must be at most {MAX_READ_BYTES}"
+        )));
+    }
+    fs::read(path)
+}
+
+/// As [`read_ordinary_file`], a text.
+pub(crate) fn read_ordinary_text(path: &Path) -> io::Result<String> {
+    String::from_utf8(read_ordinary_file(path)?).map_err(io::Error::other)
+}
+
 /// A list that only ever grows by whole lines.
 #[derive(Debug)]
 pub struct ListFile {

@@ -28,13 +28,15 @@ mod writer;
 pub use camera::ReplayCamera;
 pub use content::{content_hash, hash_of_files};
 pub use depth_scale::DepthScale;
-pub use files::{ListFile, WriteError, create_empty_folder, create_folder, write_whole_file};
+pub use files::{
+    ListFile, WriteError, create_empty_folder, create_folder, read_ordinary_file, write_whole_file,
+};
 pub use frame_check::check_frame;
 pub use lists::{Entry, Moment, SAME_MOMENT_SECS, merge_lists, read_list};
 pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
 pub use repeat::{Open, RepeatingCamera};
-pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile};
+pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile, unknown_keys};
 pub use sixteen_bit_png::{
     PngEffort, any_of as any_of_sizes, decode as decode_png, read as read_png,
     read_one_of as read_png_of_size,

@@ -1,13 +1,10 @@
 //! `depth.txt` and `ir.txt`: which image was taken when, and which of them belong to one moment.
 
-use std::{
-    fs,
-    path::{Component, Path},
-};
+use std::path::{Component, Path};
 
 use depth_camera::CameraError;
 
-use crate::session::invalid;
+use crate::{files::read_ordinary_text, session::invalid};
 
 /// Images at most this far apart belong together; frames of both sensors are 33 ms apart.
 pub const SAME_MOMENT_SECS: f64 = 0.010;
@@ -40,7 +37,7 @@ pub struct Moment {
 /// # Errors
 /// [`CameraError::Invalid`] naming file, line and value.
 pub fn read_list(path: &Path) -> Result<Vec<Entry>, CameraError> {
-    let text = fs::read_to_string(path).map_err(|error| invalid(path, error))?;
+    let text = read_ordinary_text(path).map_err(|error| invalid(path, error))?;
     let mut entries: Vec<Entry> = Vec::new();
     for (number, line) in content_lines(&text) {
         let entry = parse_entry(line).map_err(|what| at_line(path, number, what))?;

@@ -1,13 +1,41 @@
 //! `session.toml`: the camera's description, read, checked and written.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
-use crate::depth_scale::DepthScale;
+use crate::{depth_scale::DepthScale, files::read_ordinary_text};
 use depth_camera::{CameraError, CameraInfo, Intrinsics, Light, LightKind, Sensor};
 use serde::{Deserialize, Serialize};
+use toml::de::{DeTable, DeValue};
 
 /// The name of the description in a session's folder.
 pub const FILE_NAME: &str = "session.toml";
+
+/// Every key that is read here.
+const KEYS: [&str; 20] = [
+    "name",
+    "sensor",
+    "serial",
+    "driver",
+    "depth_units_per_metre",
+    "ir_full_scale",
+    "ir_gain",
+    "ir_camera.width",
+    "ir_camera.height",
+    "ir_camera.fx",
+    "ir_camera.fy",
+    "ir_camera.cx",
+    "ir_camera.cy",
+    "ir_camera.k1",
+    "ir_camera.k2",
+    "ir_camera.p1",
+    "ir_camera.p2",
+    "ir_camera.k3",
+    "light.position",
+    "light.kind",
+];
+
+/// A table for those who score: where the object stands.
+const OBJECT: &str = "object";
 
 /// Larger images than any depth camera delivers: a wrong size must not ask for gigabytes.
 const MAX_SIDE_PX: usize = 16_384;
@@ -47,7 +75,7 @@ impl SessionFile {
     /// # Errors
     /// [`CameraError::Invalid`] naming the file and what is wrong with its text.
     pub fn read(path: &Path) -> Result<Self, CameraError> {
-        let text = fs::read_to_string(path).map_err(|error| invalid(path, error))?;
+        let text = read_ordinary_text(path).map_err(|error| invalid(path, error))?;
         Self::parse(path, &text)
     }
 
@@ -170,6 +198,39 @@ impl LightEntry {
             kind,
         })
     }
+}
+
+/// The keys of a session's description that nobody reads, in sentences with file and line: they may be misspelt.
+pub fn unknown_keys(folder: &Path) -> Vec<String> {
+    let path = folder.join(FILE_NAME);
+    let text = read_ordinary_text(&path).unwrap_or_default();
+    let Ok(table) = DeTable::parse(&text) else {
+        return Vec::new();
+    };
+    let mut found = Vec::new();
+    for (key, value) in table.get_ref().iter() {
+        match value.get_ref() {
+            DeValue::Table(_) if key.get_ref() == OBJECT => {}
+            DeValue::Table(inner) => found.extend(inner.iter().map(|(inner, _)| {
+                let name = format!("{}.{}", key.get_ref(), inner.get_ref());
+                (name, inner.span().start)
+            })),
+            _ => found.push((key.get_ref().to_string(), key.span().start)),
+        }
+    }
+    found.sort_by_key(|(_, at)| *at);
+    let unknown = found
+        .into_iter()
+        .filter(|(name, _)| !KEYS.contains(&name.as_str()));
+    unknown
+        .map(|(name, at)| {
+            let line = 1 + text[..at].matches('\n').count();
+            format!(
+                "{}: line {line}: nobody reads the key {name}",
+                path.display()
+            )
+        })
+        .collect()
 }
 
 /// An error that begins with the file's name.

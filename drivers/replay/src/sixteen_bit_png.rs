@@ -1,13 +1,14 @@
 //! 16-bit greyscale PNG, checked against the size that the camera promises.
 
 use std::{
-    fs,
     io::{Cursor, Write},
     path::Path,
 };
 
 use depth_camera::Image;
 use png::{BitDepth, ColorType, Compression, Decoder, Encoder, EncodingError, Filter};
+
+use crate::files::read_ordinary_file;
 
 /// Reads a 16-bit greyscale PNG of exactly `width` × `height`.
 ///
@@ -22,7 +23,7 @@ pub fn read(path: &Path, width: usize, height: usize) -> Result<Image<u16>, Stri
 /// # Errors
 /// Says what was found instead.
 pub fn read_one_of(path: &Path, sizes: &[(usize, usize)]) -> Result<Image<u16>, String> {
-    let file = fs::read(path).map_err(|error| error.to_string())?;
+    let file = read_ordinary_file(path).map_err(|error| error.to_string())?;
     decode_checked(&file, |size| match sizes.contains(&size) {
         true => Ok(()),
         false => Err(format!(

@@ -10,7 +10,8 @@ use std::{
 
 use depth_camera::{CameraError, DepthCamera, Frame, Image};
 use replay::{
-    Pacing, RepeatingCamera, ReplayCamera, SessionWriter, WriteError, content_hash, read_poses,
+    Pacing, RepeatingCamera, ReplayCamera, SESSION_FILE_NAME, SessionWriter, WriteError,
+    content_hash, read_poses, unknown_keys,
 };
 use support::{play, tiny_camera, tiny_frame, write_tiny_session};
 
@@ -38,6 +39,30 @@ fn what_was_written_is_read_again() {
         }
         assert_eq!(depth.data()[3], 0.0);
     }
+}
+
+#[test]
+fn keys_that_nobody_reads_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut camera = tiny_camera();
+    camera.driver = Some("libfreenect2".to_owned());
+    camera.ir_gain = Some(7);
+    drop(SessionWriter::create(folder.path(), &camera, 1000.0).unwrap());
+    assert_eq!(unknown_keys(folder.path()), Vec::<String>::new());
+
+    let path = folder.path().join(SESSION_FILE_NAME);
+    let text = fs::read_to_string(&path).unwrap();
+    let text = text.replace("[light]", "[light]\ncolour = 850");
+    fs::write(
+        &path,
+        format!("seriall = \"7\"\n{text}\n[object]\nmin = 0\n"),
+    )
+    .unwrap();
+    let [seriall, colour] = &unknown_keys(folder.path())[..] else {
+        panic!("two keys that nobody reads");
+    };
+    assert_says(seriall, &["session.toml: line 1: ", " seriall"]);
+    assert_says(colour, &[" light.colour"]);
 }
 
 #[test]
@@ -170,12 +195,22 @@ fn a_damaged_image_costs_its_own_frame() {
         let bytes = fs::read(path).unwrap();
         fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
     };
-    let damages: [(Damage, &[&str]); 5] = [
+    let endless: Damage = |path| {
+        fs::remove_file(path).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", path).unwrap();
+    };
+    let huge: Damage = |path| {
+        let file = fs::File::create(path).unwrap();
+        file.set_len(1 << 30).unwrap();
+    };
+    let damages: [(Damage, &[&str]); 7] = [
         (|path| fs::remove_file(path).unwrap(), &["os error"]),
         (|path| fs::write(path, "no image").unwrap(), &["not a PNG"]),
         (truncate, &["PNG"]),
         (eight_bit, &["8-bit", "expected 16-bit"]),
         (small, &["6×5", "expected 7×5"]),
+        (endless, &["no ordinary file"]),
+        (huge, &["1073741824 bytes, must be at most 67108864"]),
     ];
     for (damage, words) in damages {
         for image in ["depth/00001.png", "ir/00001.png"] {

@@ -1,20 +1,28 @@
 //! `relief calibrate depth`: how bright white is, which tells how strong multipath is.
 
-use super::{DepthArgs, measured_session, next_frame, open};
-use crate::cli::run::{Verdict, all_processors, calibration_folder};
+use super::{DepthArgs, check_beforehand, measured_session, merge, next_frame, open};
+use crate::cli::{
+    run::{Verdict, all_processors, calibration_folder},
+    stdout::Stdout,
+};
 use anyhow::{Context, ensure};
 use depth_camera::Sensor;
 use relief::{
     config::{
         CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, Measurement, Overrides,
-        calibration_path, find_calibration, merge_into_file,
+        calibration_path, find_calibration,
     },
     fusion::{DepthNoise, Fusion},
     geometry::CameraModel,
     pipeline::{DepthCorrection, MeasuredWhite},
     shading::{Calibration, LightCalibration},
 };
-use std::{collections::BTreeMap, path::Path, time::SystemTime};
+use std::{
+    collections::BTreeMap,
+    io::{self, Write},
+    path::Path,
+    time::SystemTime,
+};
 
 /// Half the width of a 95 % interval in standard deviations.
 const INTERVAL_SIGMAS: f64 = 1.96;
@@ -32,6 +40,11 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
     let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
     let serial = args.file.serial.clone().unwrap_or(info.serial.clone());
     let path = calibration_path(&folder, &serial)?;
+    let mut device = DeviceCalibration::new(serial, info.sensor);
+    let key = CalibrationKey::LightWhiteLevel;
+    if !args.file.dry_run {
+        check_beforehand(&path, &device, &[key], args.file.replace)?;
+    }
     let places = CalibrationPlaces {
         given: path.exists().then_some(path.as_path()),
         folder: &folder,
@@ -58,21 +71,18 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
     let measured = measured.context(
         "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared",
     )?;
-    print(&measured);
+    print(&measured)?;
     if args.file.dry_run {
         return Ok(Verdict::Done);
     }
-    let mut device = DeviceCalibration::new(serial, info.sensor);
     device.light.white_level = Some(measured.white.0);
     let measurement = measurement(&measured, &args.session)?;
-    let key = CalibrationKey::LightWhiteLevel;
     device.measured.insert(key, measurement);
-    let shipped = Calibration::shipped_for(&info).map_err(anyhow::Error::msg)?;
-    let report = merge_into_file(&path, &device, &shipped, args.file.replace)?;
+    let report = merge(&path, &device, &info, args.file.replace)?;
     if let Some(kept) = &report.kept {
-        println!("the file as it was: {}", kept.display());
+        writeln!(Stdout, "the file as it was: {}", kept.display())?;
     }
-    println!("{key} written to {}", path.display());
+    writeln!(Stdout, "{key} written to {}", path.display())?;
     Ok(Verdict::Done)
 }
 
@@ -88,17 +98,19 @@ fn without_white_level(calibration: Calibration) -> Calibration {
     }
 }
 
-fn print(measured: &MeasuredWhite) {
+fn print(measured: &MeasuredWhite) -> io::Result<()> {
     let white = measured.white.0;
-    println!(
+    writeln!(
+        Stdout,
         "a perfectly white surface a metre before the light shows {white:.3} ± {:.3} of full scale",
         INTERVAL_SIGMAS * measured.relative_sigma * white
-    );
-    println!(
+    )?;
+    writeln!(
+        Stdout,
         "views of one place then disagree by {:.2} mm, root mean square over {} patches",
         1e3 * measured.evidence.residual_m,
         measured.evidence.n_patches
-    );
+    )
 }
 
 fn measurement(measured: &MeasuredWhite, session: &Path) -> anyhow::Result<Measurement> {

@@ -1,24 +1,28 @@
 //! `relief calibrate offset`: where the IR image lies against the depth image.
 
-use super::{OffsetArgs, measured_session, next_frame, open};
-use crate::cli::run::{Verdict, calibration_folder};
+use super::{OffsetArgs, check_beforehand, measured_session, merge, next_frame, open};
+use crate::cli::{
+    run::{Verdict, calibration_folder},
+    stdout::Stdout,
+};
 use anyhow::{Context, ensure};
 use depth_camera::{DepthCamera, Frame, Sensor};
 use freenect1::NOMINAL_IR_OFFSET_PX;
 use relief::{
     calibrate::{ImageOffset, OffsetEstimate, combine_offsets, image_offset},
-    config::{
-        CalibrationKey, Config, DeviceCalibration, Measurement, Overrides, calibration_path,
-        merge_into_file,
-    },
+    config::{CalibrationKey, Config, DeviceCalibration, Measurement, Overrides, calibration_path},
     fusion::TrackingOutcome,
     geometry::Pose,
-    shading::Calibration,
     snapshot::{SnapshotParams, SnapshotSelector, TrackedFrame},
 };
-use std::{collections::BTreeMap, path::Path, time::SystemTime};
+use std::{
+    collections::BTreeMap,
+    io::{self, Write},
+    path::Path,
+    time::SystemTime,
+};
 
-/// `relief calibrate offset`.
+/// `relief calibrate offset`; of a Kinect II, whose offset is known, it only says what it finds.
 pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(None, &Overrides::default())?;
     let mut camera = open(&args.session, &config)?;
@@ -31,27 +35,29 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
     let full_scale = info
         .ir_full_scale
         .context("the session has no infrared images")?;
+    let mut measured = DeviceCalibration::new(serial, info.sensor);
+    let key = CalibrationKey::IrOffset;
+    let is_written = !args.file.dry_run && info.sensor == Sensor::Kinect1;
+    if is_written {
+        check_beforehand(&path, &measured, &[key], args.file.replace)?;
+    }
     let offsets = match info.sensor {
         Sensor::Kinect1 => of_shading_images(camera.as_mut(), full_scale)?,
         Sensor::Kinect2 => of_every_frame(camera.as_mut(), full_scale)?,
     };
     let estimate = combine_offsets(&offsets)?;
-    print(&estimate, info.sensor);
-    if args.file.dry_run {
+    print(&estimate, info.sensor)?;
+    if !is_written {
         return Ok(Verdict::Done);
     }
-    let mut measured = DeviceCalibration::new(serial, info.sensor);
     measured.ir_offset_px = Some(estimate.offset_px);
     let measurement = measurement(&estimate, &args.session)?;
-    measured
-        .measured
-        .insert(CalibrationKey::IrOffset, measurement);
-    let shipped = Calibration::shipped_for(&info).map_err(anyhow::Error::msg)?;
-    let report = merge_into_file(&path, &measured, &shipped, args.file.replace)?;
+    measured.measured.insert(key, measurement);
+    let report = merge(&path, &measured, &info, args.file.replace)?;
     if let Some(kept) = &report.kept {
-        println!("the file as it was: {}", kept.display());
+        writeln!(Stdout, "the file as it was: {}", kept.display())?;
     }
-    println!("ir_offset_px written to {}", path.display());
+    writeln!(Stdout, "{key} written to {}", path.display())?;
     Ok(Verdict::Done)
 }
 
@@ -112,23 +118,29 @@ fn depth_share(frame: &Frame) -> f64 {
     })
 }
 
-fn print(estimate: &OffsetEstimate, sensor: Sensor) {
+fn print(estimate: &OffsetEstimate, sensor: Sensor) -> io::Result<()> {
     let [right, down] = estimate.offset_px;
     let [right_interval, down_interval] = estimate.half_interval_px;
-    println!(
+    writeln!(
+        Stdout,
         "the infrared image lies {right:+.2} ± {right_interval:.2} px right of and {down:+.2} ± {down_interval:.2} px below the \
          depth image"
-    );
-    println!(
+    )?;
+    writeln!(
+        Stdout,
         "from {} edges in {} images; the depth's silhouettes lie {:.2} px inside the true ones",
         estimate.n_edges, estimate.n_images, estimate.erosion_px
-    );
+    )?;
     match sensor {
-        Sensor::Kinect1 => println!(
+        Sensor::Kinect1 => writeln!(
+            Stdout,
             "a raw Kinect I has about ({}, {}), one whose driver or recording removed it (0, 0)",
             NOMINAL_IR_OFFSET_PX[0], NOMINAL_IR_OFFSET_PX[1]
         ),
-        Sensor::Kinect2 => println!("a Kinect II has (0, 0): depth and infrared are one image"),
+        Sensor::Kinect2 => writeln!(
+            Stdout,
+            "a Kinect II has (0, 0), depth and infrared are one image: nothing is written"
+        ),
     }
 }
 

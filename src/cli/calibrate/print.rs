@@ -1,24 +1,30 @@
 //! What a calibration found, on standard output: text, or one JSON object.
 
 use super::findings::Findings;
+use crate::cli::stdout::Stdout;
 use relief::{
     calibrate::{InverseSquare, Measured},
     export::CalibrationResult,
 };
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, io::Write};
 
 /// Prints what was found: text, or one JSON object.
 ///
 /// # Errors
-/// Never: numbers that do not exist are `null`.
-pub fn print(findings: &Findings, as_json: bool) -> serde_json::Result<()> {
+/// If it cannot be printed.
+pub fn print(findings: &Findings, as_json: bool) -> anyhow::Result<()> {
     if as_json {
-        println!("{}", serde_json::to_string(&machine_readable(findings))?);
+        writeln!(
+            Stdout,
+            "{}",
+            serde_json::to_string(&machine_readable(findings))?
+        )?;
         return Ok(());
     }
     for session in findings.sessions() {
-        println!(
+        writeln!(
+            Stdout,
             "{}: {}, {} images, {} samples, {:.2} % off the model ({:.2} % is noise), {:.1} % outliers",
             session.name,
             session.target,
@@ -27,7 +33,7 @@ pub fn print(findings: &Findings, as_json: bool) -> serde_json::Result<()> {
             session.deviation * 100.0,
             session.noise * 100.0,
             session.outlier_share * 100.0
-        );
+        )?;
     }
     for CalibrationResult {
         name,
@@ -36,14 +42,14 @@ pub fn print(findings: &Findings, as_json: bool) -> serde_json::Result<()> {
     } in findings.results()
     {
         match remark.as_str() {
-            "" => println!("{name:<36}{value}"),
-            remark => println!("{name:<36}{value}   ({remark})"),
+            "" => writeln!(Stdout, "{name:<36}{value}")?,
+            remark => writeln!(Stdout, "{name:<36}{value}   ({remark})")?,
         }
     }
     for remark in findings.remarks() {
-        println!("note: {remark}");
+        writeln!(Stdout, "note: {remark}")?;
     }
-    println!("intervals are of 95 %");
+    writeln!(Stdout, "intervals are of 95 %")?;
     Ok(())
 }
 

@@ -2,8 +2,8 @@
 //! write what the command is for into the device's file.
 
 use super::{
-    TargetArgs, findings::Findings, measured_session, next_frame, open, page::write_page,
-    print::print,
+    TargetArgs, check_beforehand, findings::Findings, measured_session, merge, next_frame, open,
+    page::write_page, print::print,
 };
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, bail, ensure};
@@ -17,11 +17,11 @@ use relief::{
     capture::IrOffset,
     config::{
         self, CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, FoundCalibration,
-        KeyOrigin, Measurement, Overrides, calibration_path, merge_into_file,
+        KeyOrigin, Measurement, Overrides, calibration_path,
     },
     fusion::FusionParams,
     geometry::{CameraModel, RayGrid},
-    shading::{Calibration, FlatField},
+    shading::FlatField,
 };
 use std::{
     collections::BTreeMap,
@@ -50,6 +50,15 @@ impl Aim {
         }
     }
 
+    /// What the command is for; the light's lobe comes with its place where it is not measured yet.
+    fn keys(self) -> &'static [CalibrationKey] {
+        match self {
+            Aim::Response => &[CalibrationKey::Gamma],
+            Aim::FlatField => &[CalibrationKey::FlatField, CalibrationKey::LightLobePower],
+            Aim::Light => &[CalibrationKey::LightPosition],
+        }
+    }
+
     /// How well the light's place is believed beforehand, metres: as stated by a maker, or as measured by eye.
     fn light_sigma_m(self) -> f64 {
         match self {
@@ -73,9 +82,15 @@ struct Device {
 /// Runs a command.
 pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
-    let (device, scans) = gather(args, &folder)?;
+    let config = Config::layered(None, &Overrides::default())?;
+    let device = device(args, &config, &folder)?;
     let path = calibration_path(&folder, &device.serial)?;
+    if !args.file.dry_run {
+        let nothing = DeviceCalibration::new(device.serial.clone(), device.info.sensor);
+        check_beforehand(&path, &nothing, aim.keys(), args.file.replace)?;
+    }
     let found = &device.found;
+    let scans = gather(args, &config, &device)?;
     require_targets(aim, &scans)?;
 
     let rays = RayGrid::new(CameraModel::new(device.info.intrinsics));
@@ -110,21 +125,34 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     Ok(Verdict::Done)
 }
 
-/// Replays every session; all must be of one device.
-fn gather(args: &TargetArgs, folder: &Path) -> anyhow::Result<(Device, Vec<Scan>)> {
-    let config = Config::layered(None, &Overrides::default())?;
+/// The device that the first session is of.
+fn device(args: &TargetArgs, config: &Config, folder: &Path) -> anyhow::Result<Device> {
     let first = args.sessions.first().context("no session is given")?;
-    let info = open(first, &config)?.info().clone();
+    let info = open(first, config)?.info().clone();
     let serial = args.file.serial.as_ref().unwrap_or(&info.serial).clone();
     let found = find(&info, &serial, args, folder)?;
-    let ir_offset = IrOffset::nearest(found.calibration.ir_offset_px);
+    Ok(Device {
+        info,
+        serial,
+        found,
+    })
+}
+
+/// Replays every session; all must be of one device.
+fn gather(args: &TargetArgs, config: &Config, device: &Device) -> anyhow::Result<Vec<Scan>> {
+    let ir_offset = IrOffset::nearest(device.found.calibration.ir_offset_px);
     let radius = args
         .radius
         .map_or(BallRadius::Unknown, |radius| BallRadius::Given(radius.0));
     let mut scans = Vec::new();
     for session in &args.sessions {
-        let mut camera = open(session, &config)?;
-        check_same_device(&info, camera.info(), session, args.file.serial.is_some())?;
+        let mut camera = open(session, config)?;
+        check_same_device(
+            &device.info,
+            camera.info(),
+            session,
+            args.file.serial.is_some(),
+        )?;
         let mut gatherer = Gatherer::new(camera.info(), FusionParams::default())
             .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
         while let Some(frame) = next_frame(camera.as_mut())? {
@@ -134,12 +162,7 @@ fn gather(args: &TargetArgs, folder: &Path) -> anyhow::Result<(Device, Vec<Scan>
         tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
         scans.push(scan);
     }
-    let device = Device {
-        info,
-        serial,
-        found,
-    };
-    Ok((device, scans))
+    Ok(scans)
 }
 
 fn check_same_device(
@@ -297,20 +320,15 @@ fn write(
         .collect::<anyhow::Result<Vec<_>>>()?;
     let mut device = DeviceCalibration::new(of.serial.clone(), of.info.sensor);
     let state = &findings.estimate.state;
-    let mut keys = Vec::new();
+    let mut keys = findings.aim.keys().to_vec();
     match findings.aim {
-        Aim::Response => {
-            device.gamma = Some(state.gamma);
-            keys.push(CalibrationKey::Gamma);
-        }
+        Aim::Response => device.gamma = Some(state.gamma),
         Aim::FlatField => {
             device.flat_field = Some(FlatField::Spline(state.flat.clone()));
             device.light.lobe_power = Some(state.light.lobe_power);
-            keys.extend([CalibrationKey::FlatField, CalibrationKey::LightLobePower]);
         }
         Aim::Light => {
             device.light.position_m = Some(findings.believed_position().into());
-            keys.push(CalibrationKey::LightPosition);
             // Place and lobe were fitted together; a lobe that was measured with the flat field belongs to that.
             if !findings.lobe_is_measured {
                 device.light.lobe_power = Some(state.light.lobe_power);
@@ -324,6 +342,5 @@ fn write(
         let measurement = Measurement::new(time, measured_sessions.clone(), figures);
         device.measured.insert(key, measurement);
     }
-    let shipped = Calibration::shipped_for(&of.info).map_err(anyhow::Error::msg)?;
-    Ok(merge_into_file(path, &device, &shipped, args.file.replace)?)
+    merge(path, &device, &of.info, args.file.replace)
 }

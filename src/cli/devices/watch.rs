@@ -1,6 +1,7 @@
 //! `relief devices --watch`: Kinects as they come and go.
 
 use super::{entry, print_entry};
+use crate::cli::stdout::Stdout;
 use relief::devices::{Kinect, Machine, list};
 use serde_json::json;
 use std::{
@@ -49,12 +50,17 @@ fn is_gone(kinect: &Kinect, there: &[Kinect]) -> bool {
 
 fn tell(what: &str, kinect: &Kinect, json: bool) -> io::Result<()> {
     match json {
-        true => println!("{}", json!({ "event": what, "device": entry(kinect) })),
+        true => writeln!(
+            Stdout,
+            "{}",
+            json!({ "event": what, "device": entry(kinect) })
+        )?,
         false => {
-            print!("{what}: ");
-            print_entry(&entry(kinect));
+            write!(Stdout, "{what}: ")?;
+            print_entry(&entry(kinect))?;
         }
     }
+    // Unlike `Stdout` this tells that nobody reads any more.
     io::stdout().flush()
 }
 

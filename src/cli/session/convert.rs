@@ -1,8 +1,8 @@
 //! `relief session export` and `import`: recordings as folders of images, and back.
 
 use super::ConvertArgs;
-use crate::cli::run::Verdict;
-use anyhow::Context;
+use crate::cli::{run::Verdict, stdout::Stdout};
+use anyhow::{Context, ensure};
 use depth_camera::{CameraError, DepthCamera, Frame};
 use mcap_session::{RecordingParams, SegmentWriter, open_session};
 use relief::{
@@ -12,7 +12,7 @@ use relief::{
 };
 use replay::{Pacing, SessionWriter};
 use serde_json::json;
-use std::{fs, path::Path, time::Duration};
+use std::{fs, io::Write, path::Path, time::Duration};
 
 /// What became of the frames.
 #[derive(Default)]
@@ -80,22 +80,32 @@ fn convert(
     }
 }
 
-/// Takes the calibration along, and says what became of the frames.
+/// Takes the calibration along, and says what became of the frames; a session without any is an error.
 fn conclude(args: &ConvertArgs, converted: &Converted) -> anyhow::Result<Verdict> {
-    let calibration = config::session_folder(&args.session).join(Calibration::FILE_NAME);
-    if calibration.is_file() {
-        copy(&calibration, &args.out.join(Calibration::FILE_NAME))?;
-    }
     let Converted {
         n_frames,
         n_damaged,
     } = converted;
+    ensure!(
+        *n_frames > 0,
+        "{}: no frame is whole, {n_damaged} are damaged",
+        args.session.display()
+    );
+    let calibration = config::session_folder(&args.session).join(Calibration::FILE_NAME);
+    if calibration.is_file() {
+        copy(&calibration, &args.out.join(Calibration::FILE_NAME))?;
+    }
     match args.json {
-        true => println!("{}", json!({ "frames": n_frames, "damaged": n_damaged })),
-        false => println!(
+        true => writeln!(
+            Stdout,
+            "{}",
+            json!({ "frames": n_frames, "damaged": n_damaged })
+        )?,
+        false => writeln!(
+            Stdout,
             "{n_frames} frames written to {}, {n_damaged} were damaged",
             args.out.display()
-        ),
+        )?,
     }
     Ok(Verdict::Done)
 }

@@ -1,10 +1,10 @@
 //! `relief session ls`.
 
 use super::{ListArgs, megabytes};
-use crate::cli::run::Verdict;
+use crate::cli::{run::Verdict, stdout::Stdout};
 use mcap_session::{SessionRecord, State, recordings_in};
 use serde::Serialize;
-use std::path::Path;
+use std::{io::Write, path::Path};
 
 /// One line of the list.
 #[derive(Serialize)]
@@ -24,17 +24,22 @@ pub fn list(args: &ListArgs) -> anyhow::Result<Verdict> {
         .map(|path| listed(path))
         .collect();
     if args.json {
-        println!("{}", serde_json::json!({ "recordings": found }));
+        writeln!(Stdout, "{}", serde_json::json!({ "recordings": found }))?;
         return Ok(Verdict::Done);
     }
     for listed in &found {
         match (&listed.record, &listed.error) {
-            (Some(record), _) => println!("{}  {}", listed.path, line(record)),
-            (None, error) => println!("{}  {}", listed.path, error.as_deref().unwrap_or_default()),
+            (Some(record), _) => writeln!(Stdout, "{}  {}", listed.path, line(record))?,
+            (None, error) => writeln!(
+                Stdout,
+                "{}  {}",
+                listed.path,
+                error.as_deref().unwrap_or_default()
+            )?,
         }
     }
     if found.is_empty() {
-        println!("no recordings in {}", args.folder.display());
+        writeln!(Stdout, "no recordings in {}", args.folder.display())?;
     }
     Ok(Verdict::Done)
 }

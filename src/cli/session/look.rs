@@ -1,11 +1,14 @@
 //! `relief session info` and `verify`: looking at a recording without changing it.
 
 use super::{SessionArgs, list::state_name, megabytes};
-use crate::cli::run::Verdict;
+use crate::cli::{run::Verdict, stdout::Stdout};
 use depth_camera::CameraInfo;
 use mcap_session::{FileReport, SessionRecord, describe, files};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::{
+    io::{self, Write},
+    path::Path,
+};
 
 /// `relief session info`.
 pub fn info(args: &SessionArgs) -> anyhow::Result<Verdict> {
@@ -29,32 +32,35 @@ pub fn info(args: &SessionArgs) -> anyhow::Result<Verdict> {
             "files": files.len(),
             "bytes": n_bytes,
         });
-        println!("{object}");
+        writeln!(Stdout, "{object}")?;
         return Ok(Verdict::Done);
     }
     let i = &info.intrinsics;
-    println!("{}", args.session.display());
-    println!("  {} {}", info.sensor.name(), info.serial);
-    println!(
+    writeln!(Stdout, "{}", args.session.display())?;
+    writeln!(Stdout, "  {} {}", info.sensor.name(), info.serial)?;
+    writeln!(
+        Stdout,
         "  {}×{} pixels, fx {:.2} fy {:.2} cx {:.2} cy {:.2}",
         i.width, i.height, i.fx, i.fy, i.cx, i.cy
-    );
-    println!("  depth in 1/{units_per_metre} m");
+    )?;
+    writeln!(Stdout, "  depth in 1/{units_per_metre} m")?;
     match info.light {
-        Some(light) => println!(
+        Some(light) => writeln!(
+            Stdout,
             "  infrared lit by the {} at {:?} m",
             light.kind.name(),
             light.position_m
-        ),
-        None => println!("  no infrared"),
+        )?,
+        None => writeln!(Stdout, "  no infrared")?,
     }
-    println!("  {} files, {}", files.len(), megabytes(n_bytes));
+    writeln!(Stdout, "  {} files, {}", files.len(), megabytes(n_bytes))?;
     for topic in topics {
-        println!("  {topic}");
+        writeln!(Stdout, "  {topic}")?;
     }
     if let Some(record) = record {
         let c = &record.counters;
-        println!(
+        writeln!(
+            Stdout,
             "  {}: {} frames, {} depth, {} infrared, {} poses, {} events",
             state_name(record.state),
             c.frames,
@@ -62,9 +68,9 @@ pub fn info(args: &SessionArgs) -> anyhow::Result<Verdict> {
             c.infrared,
             c.poses,
             c.events
-        );
+        )?;
         if let Some(why) = record.stopped_because {
-            println!("  stopped before the scan did: {why}");
+            writeln!(Stdout, "  stopped before the scan did: {why}")?;
         }
     }
     Ok(Verdict::Done)
@@ -89,9 +95,9 @@ pub fn verify(args: &SessionArgs) -> anyhow::Result<Verdict> {
     let is_whole = reports.iter().all(|report| report.problems.is_empty());
     if args.json {
         let files: Vec<Value> = reports.iter().map(file).collect();
-        println!("{}", json!({ "whole": is_whole, "files": files }));
+        writeln!(Stdout, "{}", json!({ "whole": is_whole, "files": files }))?;
     } else {
-        reports.iter().for_each(print_report);
+        reports.iter().try_for_each(print_report)?;
     }
     Ok(verdict(is_whole))
 }
@@ -113,13 +119,14 @@ fn file(report: &FileReport) -> Value {
     })
 }
 
-fn print_report(report: &FileReport) {
+fn print_report(report: &FileReport) -> io::Result<()> {
     let name = report
         .path
         .file_name()
         .map(Path::new)
         .unwrap_or(&report.path);
-    println!(
+    writeln!(
+        Stdout,
         "{}  {} frames  {} messages  {}  {}",
         name.display(),
         report.n_frames,
@@ -129,8 +136,9 @@ fn print_report(report: &FileReport) {
             true => "whole",
             false => "damaged",
         }
-    );
+    )?;
     for problem in &report.problems {
-        println!("  {problem}");
+        writeln!(Stdout, "  {problem}")?;
     }
+    Ok(())
 }

@@ -1,11 +1,11 @@
 //! `relief session repair` and `rm`.
 
 use super::{RemoveArgs, RepairArgs};
-use crate::cli::run::Verdict;
+use crate::cli::{run::Verdict, stdout::Stdout};
 use anyhow::ensure;
 use mcap_session::{RecordingError, RepairNote, Repaired, SESSION_FILE_NAME};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::{io::Write, path::Path};
 
 /// `relief session repair`: one recording, or all in a folder that were left open.
 pub fn repair(args: &RepairArgs) -> anyhow::Result<Verdict> {
@@ -14,14 +14,18 @@ pub fn repair(args: &RepairArgs) -> anyhow::Result<Verdict> {
     match args.json {
         true => {
             let recordings: Vec<Value> = repaired.iter().map(object).collect();
-            println!("{}", json!({ "recordings": recordings }));
+            writeln!(Stdout, "{}", json!({ "recordings": recordings }))?;
         }
         false if repaired.is_empty() => {
-            println!("no recordings were left open in {}", args.folder.display());
+            writeln!(
+                Stdout,
+                "no recordings were left open in {}",
+                args.folder.display()
+            )?;
         }
         false => repaired
             .iter()
-            .for_each(|(path, result)| println!("{}", line(path, result))),
+            .try_for_each(|(path, result)| writeln!(Stdout, "{}", line(path, result)))?,
     }
     Ok(match has_failed {
         true => Verdict::Failed,
@@ -79,13 +83,13 @@ pub fn remove(args: &RemoveArgs) -> anyhow::Result<Verdict> {
     for session in &args.sessions {
         mcap_session::remove(session)?;
         if !args.json {
-            println!("{} is removed", session.display());
+            writeln!(Stdout, "{} is removed", session.display())?;
         }
     }
     if args.json {
         let sessions = args.sessions.iter();
         let removed: Vec<String> = sessions.map(|path| path.display().to_string()).collect();
-        println!("{}", json!({ "removed": removed }));
+        writeln!(Stdout, "{}", json!({ "removed": removed }))?;
     }
     Ok(Verdict::Done)
 }

@@ -1,6 +1,6 @@
 //! Files cut anywhere and damaged in any way: what is whole is kept, what is not is found.
 
-use std::fs;
+use std::{fs, path::Path};
 
 use mcap_session::{
     RecordingParams, SESSION_FILE_NAME, SegmentWriter, SessionRecord, State, repair, verify,
@@ -53,6 +53,29 @@ fn a_file_cut_anywhere_keeps_all_its_whole_chunks() {
         }
     }
     println!("{} cuts of a file of {n} bytes", cuts.len());
+}
+
+#[test]
+fn a_closed_recording_that_was_cut_is_told_of() {
+    let original = Original::new();
+    let (cut, _) = original.chunks[8];
+    let folder = original.with_bytes(&original.bytes[..cut + 100], State::Closed);
+    let torn = format!("segment-0000.mcap: {cut} bytes into it the rest is missing");
+    let n_missing = N_FRAMES - 8 * FRAMES_PER_CHUNK;
+    let missing = format!("{n_missing} of the {N_FRAMES} frames");
+    let damage_of = |path: &Path| {
+        let played = play(path).unwrap();
+        assert_eq!(played.frames.len() as u64, N_FRAMES - n_missing);
+        assert_eq!(played.damages.len(), 1, "{:?}", played.damages);
+        played.damages.concat()
+    };
+    let damage = damage_of(&folder);
+    assert!(damage.contains(&missing), "{damage}");
+    assert!(damage.contains(&torn), "{damage}");
+    // A segment alone does not know of the others.
+    let damage = damage_of(&first_segment(&folder));
+    assert!(!damage.contains(&missing), "{damage}");
+    assert!(damage.contains(&torn), "{damage}");
 }
 
 #[test]
@@ -137,6 +160,18 @@ fn a_segment_that_is_missing_is_found_and_the_others_are_played() {
     fs::write(&segments[1], "").unwrap();
     assert_eq!(play(&path).unwrap().frames.len() as u64, left);
     fs::remove_file(&segments[1]).unwrap();
+    let played = play(&path).unwrap();
+    let expected =
+        format!("{lost} of the {N_FRAMES} frames that session.json tells of are missing");
+    assert!(
+        played.damages[0].ends_with(&expected),
+        "{:?}",
+        played.damages
+    );
+    assert_eq!(
+        (played.frames.len() as u64, played.damages.len()),
+        (left, 1)
+    );
     let reports = verify(&path).unwrap();
     let problems: Vec<&String> = reports.iter().flat_map(|report| &report.problems).collect();
     let expected = format!(

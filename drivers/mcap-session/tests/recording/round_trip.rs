@@ -7,6 +7,7 @@ use mcap_session::{
     McapCamera, MessageReader, RecordingParams, SegmentWriter, SessionRecord, State, files,
     is_recording,
     messages::{PoseMessage, decode_string},
+    remove,
     streams::Stream,
     verify,
 };
@@ -46,6 +47,21 @@ fn a_closed_recording_replays_to_the_bit() {
     // One file alone is a recording too.
     let segment = files(&path).unwrap().remove(0);
     assert_eq!(play(&segment).unwrap().frames.len(), 30);
+}
+
+#[test]
+fn a_link_to_a_recording_is_not_removed_nor_what_it_leads_to() {
+    let root = tempfile::tempdir().unwrap();
+    let (path, link) = (root.path().join("a"), root.path().join("link"));
+    record(&path, &camera_info(20, 16), 3, 3);
+    std::os::unix::fs::symlink(&path, &link).unwrap();
+    for named in [link.clone(), link.join("")] {
+        let error = remove(&named).unwrap_err().to_string();
+        assert!(error.contains("link: is a link"), "{error}");
+        assert_eq!(play(&path).unwrap().frames.len(), 3);
+    }
+    remove(&path.join("")).unwrap();
+    assert!(!path.exists());
 }
 
 #[test]
