@@ -29,6 +29,18 @@ pub fn write_atomically(
     Ok(())
 }
 
+/// Whether the disk may do later what it refused: it was full, read-only or away.
+pub fn is_passing(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::StorageFull
+            | io::ErrorKind::QuotaExceeded
+            | io::ErrorKind::ReadOnlyFilesystem
+            | io::ErrorKind::StaleNetworkFileHandle
+            | io::ErrorKind::TimedOut
+    )
+}
+
 /// `.NAME.partial` beside `NAME`.
 fn partial_path(path: &Path) -> io::Result<PathBuf> {
     let name = path

@@ -13,6 +13,7 @@ pub mod processor_time;
 pub mod record;
 pub mod run;
 pub mod session;
+pub mod stdout;
 pub mod summary;
 pub mod values;
 
@@ -169,7 +170,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "N")]
     pub max_snapshots: Option<usize>,
     /// Threads of each pool; all processors without it
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = values::threads)]
     pub threads: Option<NonZeroUsize>,
     /// Play at the recorded pace and drop frames rather than wait for fusion
     #[arg(long)]
@@ -222,7 +223,7 @@ pub struct RecordedScanArgs {
     #[arg(long, value_name = "DIR")]
     pub calibration_dir: Option<PathBuf>,
     /// Threads; all processors without it
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = values::threads)]
     pub threads: Option<NonZeroUsize>,
 }
 
@@ -330,7 +331,7 @@ pub struct BenchArgs {
     #[arg(long, value_name = "M")]
     pub depth_max: Option<f64>,
     /// Threads; all processors without it
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = values::threads)]
     pub threads: Option<NonZeroUsize>,
     /// Print one JSON object on standard output
     #[arg(long)]

@@ -6,6 +6,7 @@
 mod continuity;
 mod device;
 mod event;
+mod event_file;
 mod frame_recorder;
 mod infrared_rate;
 mod ir_offset;
@@ -14,6 +15,7 @@ mod shared_frames;
 
 pub use device::{CaptureEnd, CaptureSummary, Delivery, DeviceHealth, run_device};
 pub use event::{Event, EventKind, Tracked};
+pub use event_file::EVENTS_FILE;
 pub use frame_recorder::{RecordFormat, RecordingStanding};
 pub use infrared_rate::InfraredRate;
 pub use ir_offset::IrOffset;
@@ -41,7 +43,7 @@ pub struct CaptureParams {
     pub record_format: RecordFormat,
     /// Which infrared images are recorded, with [`RecordFormat::Mcap`].
     pub record_ir: InfraredRate,
-    /// Recording stops before there is less room on the disk, megabytes (10⁶ bytes), 0 to 1000000.
+    /// Recording stops before there is less room on the disk, and the daemon starts no scan, megabytes (10⁶ bytes), 0 to 1000000.
     pub min_free_disk_mb: u32,
 }
 
@@ -105,7 +107,8 @@ impl CaptureParams {
         Ok(())
     }
 
-    fn min_free_bytes(&self) -> u64 {
+    /// The room that the disk must have, bytes.
+    pub fn min_free_bytes(&self) -> u64 {
         u64::from(self.min_free_disk_mb) * 1_000_000
     }
 

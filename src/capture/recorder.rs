@@ -2,17 +2,14 @@
 
 use super::{
     CaptureParams, DeliveredFrame, Event, EventKind, Tracked,
+    event_file::EventFile,
     frame_recorder::{FrameRecorder, RecordingStanding, Stopped},
 };
 use crate::geometry::Pose;
 use depth_camera::CameraInfo;
 use mcap_session::RecordingError;
 use replay::WriteError;
-use std::{
-    fs::{File, OpenOptions},
-    io::Write,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 /// What the recorder wrote.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -27,12 +24,12 @@ pub struct RecorderSummary {
     pub failures: Vec<String>,
 }
 
-/// Writes what it is given into one folder. The first failure to write ends that recording, and is told once.
+/// Writes what it is given into one folder. The first failure to write a frame ends the recording of frames, and is told once;
+/// events wait until they can be written.
 pub struct Recorder {
     folder: PathBuf,
     frames: Option<FrameRecorder>,
-    events: Option<File>,
-    events_path: PathBuf,
+    events: EventFile,
     /// The newest frame, which what happens to the recording itself is told of.
     newest: Option<(u64, f64)>,
     /// What happened to the recording itself and was not fetched yet.
@@ -47,24 +44,15 @@ impl Recorder {
     /// # Errors
     /// If the file cannot be created, naming it.
     pub fn new(folder: &Path) -> Result<Self, WriteError> {
-        let events_path = folder.join("events.jsonl");
-        let events = OpenOptions::new()
-            .append(true)
-            .create_new(true)
-            .open(&events_path)
-            .map_err(|source| WriteError::Io {
-                path: events_path.clone(),
-                source,
-            })?;
+        let events = EventFile::create(folder)?;
         Ok(Recorder {
             folder: folder.to_owned(),
             frames: None,
             summary: RecorderSummary {
-                outputs: vec![events_path.clone()],
+                outputs: vec![events.path().to_owned()],
                 ..RecorderSummary::default()
             },
-            events: Some(events),
-            events_path,
+            events,
             newest: None,
             own_events: Vec::new(),
             has_failed: false,
@@ -118,11 +106,13 @@ impl Recorder {
                 self.event(&event);
             }
         }
+        self.events.write_waiting();
     }
 
     /// Does what is due though nothing comes, at least every tenth of a second.
     pub fn tick(&mut self) {
         self.with_recording(FrameRecorder::tick);
+        self.events.write_waiting();
     }
 
     /// Takes note of frames and infrared images that the recorder was too busy for.
@@ -142,7 +132,17 @@ impl Recorder {
         std::mem::take(&mut self.own_events)
     }
 
-    /// Whether something could not be written.
+    /// Poses of the fused frames with their times, seconds, once they were told of.
+    pub fn trajectory(&self) -> &[(f64, Pose)] {
+        &self.summary.trajectory
+    }
+
+    /// Why events wait to be written; `None` if none does.
+    pub fn events_refusal(&self) -> Option<&str> {
+        self.events.refusal()
+    }
+
+    /// Whether something was lost because it could not be written.
     pub fn has_failed(&self) -> bool {
         self.has_failed
     }
@@ -157,6 +157,9 @@ impl Recorder {
         self.end_frames();
         let recorded = self.standing().map_or(0, |standing| standing.recorded);
         self.summary.n_recorded = recorded as usize;
+        if let Some(missing) = self.events.end() {
+            self.tell(missing);
+        }
         self.summary
     }
 
@@ -190,15 +193,7 @@ impl Recorder {
             Err(error) => return self.fail(format!("an event is not written: {error}")),
         };
         self.with_event_in_recording(event, &line);
-        let Some(file) = &mut self.events else {
-            return;
-        };
-        // One whole line by one call, so that a process that is killed leaves no half of one.
-        if let Err(error) = file.write_all(format!("{line}\n").as_bytes()) {
-            self.events = None;
-            let path = self.events_path.display();
-            self.fail(format!("events are no longer written: {path}: {error}"));
-        }
+        self.events.push(&line);
     }
 
     fn with_event_in_recording(&mut self, event: &Event, line: &str) {

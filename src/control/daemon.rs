@@ -10,7 +10,7 @@ use super::{
     signals::{self, Ask, DaemonSignals},
     supervisor::Supervisor,
     systemd::ServiceManager,
-    token::Token,
+    token::{Token, TokenError},
     watchdog::Watchdog,
 };
 use crate::{
@@ -67,6 +67,9 @@ pub enum DaemonError {
     /// The data directory cannot be used.
     #[error(transparent)]
     Data(#[from] DataFolderError),
+    /// The token cannot be used.
+    #[error(transparent)]
+    Token(#[from] TokenError),
     /// The refinement worker cannot be used.
     #[error(transparent)]
     Worker(#[from] JobError),
@@ -109,7 +112,7 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         program: setup.program,
         calibration_dir: settings.calibration_dir().to_owned(),
         params: settings.config().worker,
-        settings: settings.to_toml(),
+        settings: settings.of_refinement(),
     })?;
     let supervisor = Arc::new(Supervisor::new(setup.source, settings, data, worker));
     let runtime = runtime::Builder::new_current_thread()
@@ -204,7 +207,9 @@ impl Daemon {
         let tls = access.tls.as_ref().map(|tls| tls.acceptor());
         let app = Arc::new(App::new(self.supervisor.clone(), access));
         let acceptor = Acceptor::new(TcpListener::from_std(listener)?, tls, router(app.clone()));
-        self.supervisor.data.tell_address(scheme, address)?;
+        if let Err(error) = self.supervisor.data.tell_address(scheme, address) {
+            tracing::warn!(%error, "daemon.lock does not say where the daemon listens");
+        }
         tracing::info!(
             data = %self.supervisor.data.root().display(),
             "listening on {scheme}://{address}/"
@@ -267,12 +272,10 @@ impl Daemon {
 
     fn reload(&self) {
         self.manager.reloading();
-        match self.supervisor.reload() {
-            Ok(()) => tracing::info!(
-                "configuration read anew; it holds for the scans that start from now on"
-            ),
-            Err(error) => tracing::error!(%error, "the configuration stays as it was"),
-        }
-        self.manager.ready("configuration read anew");
+        let reloaded = self.supervisor.reload();
+        self.manager.ready(match reloaded {
+            Ok(()) => "configuration read anew",
+            Err(_) => "the configuration stays as it was: see the log",
+        });
     }
 }

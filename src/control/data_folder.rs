@@ -6,10 +6,11 @@ use std::{
     fs::{self, File, OpenOptions, TryLockError},
     io,
     net::SocketAddr,
+    ops::Range,
     os::unix::fs::{DirBuilderExt, FileExt, OpenOptionsExt},
     path::{Path, PathBuf},
     str::FromStr,
-    time::SystemTime,
+    time::{SystemTime, UNIX_EPOCH},
 };
 
 /// The file that one daemon locks, and that says where it listens.
@@ -34,6 +35,18 @@ pub enum DataFolderError {
         /// What the system said.
         source: io::Error,
     },
+}
+
+/// There is too little room for a scan.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "there are {free_bytes} bytes free on the disk of {}, no scan starts below {floor_bytes} (capture.min_free_disk_mb)",
+    .folder.display()
+)]
+pub struct NoRoom {
+    folder: PathBuf,
+    free_bytes: u64,
+    floor_bytes: u64,
 }
 
 /// A data directory held by this process until this is dropped.
@@ -109,6 +122,22 @@ impl DataFolder {
             .write_all_at(format!("{scheme}://{address}/\n").as_bytes(), 0)
     }
 
+    /// Checks that the disk has room for a scan; one that does not say how much it has is let be.
+    ///
+    /// # Errors
+    /// If there is less than so much.
+    pub fn check_room(&self, floor_bytes: u64) -> Result<(), NoRoom> {
+        let folder = self.sessions();
+        match mcap_session::free_bytes(&folder) {
+            Ok(free_bytes) if free_bytes < floor_bytes => Err(NoRoom {
+                folder,
+                free_bytes,
+                floor_bytes,
+            }),
+            _ => Ok(()),
+        }
+    }
+
     /// The directory.
     pub fn root(&self) -> &Path {
         &self.root
@@ -136,6 +165,17 @@ impl SessionId {
         let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
         let compact: String = now.chars().filter(|c| !matches!(c, '-' | ':')).collect();
         SessionId(format!("{compact}-{:04x}", fastrand::u16(..)))
+    }
+
+    /// The start that it tells of, milliseconds since 1970; 0 where that is no time.
+    pub fn started_unix_ms(&self) -> u64 {
+        let digits = |range: Range<usize>| self.0.get(range).unwrap_or_default();
+        let [year, month, day] = [0..4, 4..6, 6..8].map(digits);
+        let [hour, minute, second] = [9..11, 11..13, 13..15].map(digits);
+        let text = format!("{year}-{month}-{day}T{hour}:{minute}:{second}Z");
+        let started = humantime::parse_rfc3339(&text).ok();
+        let since_1970 = started.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        since_1970.map_or(0, |since| since.as_millis() as u64)
     }
 
     /// The name.
@@ -198,9 +238,25 @@ mod tests {
     }
 
     #[test]
+    fn a_disk_below_the_floor_is_told_with_both_figures() {
+        let root = tempfile::tempdir().unwrap();
+        let data = DataFolder::open(root.path()).unwrap();
+        data.check_room(0).unwrap();
+        let error = data.check_room(u64::MAX).unwrap_err().to_string();
+        let floor = u64::MAX.to_string();
+        assert!(
+            error.contains("sessions") && error.contains(&floor),
+            "{error}"
+        );
+    }
+
+    #[test]
     fn only_generated_names_are_names() {
         let id = SessionId::generate();
         assert_eq!(id.as_str().parse::<SessionId>(), Ok(id));
+        let started = |text: &str| text.parse::<SessionId>().unwrap().started_unix_ms();
+        assert_eq!(started("20261121T153000Z-4f2a"), 1_795_275_000_000);
+        assert_eq!(started("20269921T153000Z-4f2a"), 0);
         for text in [
             "",
             "..",

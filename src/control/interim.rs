@@ -26,7 +26,10 @@ pub async fn refine(
     let adopting = supervisor.clone();
     let adopted = task::spawn_blocking(move || {
         cancel_waiting(&adopting, &of.id);
-        adopt(&adopting, &of, &interim)
+        adopt(&adopting, &of, &interim).inspect_err(|_| {
+            // Nobody asks for it again.
+            let _ = fs::remove_dir_all(&interim);
+        })
     });
     let folder = adopted.await.map_err(io::Error::other)??;
     supervisor.submit(folder).await?;

@@ -59,3 +59,4 @@ pub use operate::{ControlError, operate, until_stopped};
 pub use progress::{Progress, ProgressStyle};
 pub use settings::SettingsPlaces;
 pub use signals::EXIT_INTERRUPTED;
+pub use token::TokenError;

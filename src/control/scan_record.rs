@@ -80,10 +80,28 @@ impl ScanRecord {
     /// Reads it from a scan's folder.
     ///
     /// # Errors
-    /// If it is not there, or is not one.
+    /// If it is not there, or is not one, naming it.
     pub fn read(folder: &Path) -> io::Result<Self> {
-        let text = fs::read_to_string(folder.join(NAME))?;
-        Ok(serde_json::from_str(&text)?)
+        let path = folder.join(NAME);
+        let read = || -> io::Result<Self> { Ok(serde_json::from_slice(&fs::read(&path)?)?) };
+        read().map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", path.display())))
+    }
+
+    /// What stands in for a record that cannot be read: the scan's name, and the start that it tells of.
+    pub fn unreadable(id: SessionId, why: &io::Error) -> Self {
+        let unknown = || "unknown".to_owned();
+        ScanRecord {
+            label: None,
+            interim_of: None,
+            started_unix_ms: id.started_unix_ms(),
+            ended_unix_ms: None,
+            device: DeviceName {
+                serial: unknown(),
+                sensor: unknown(),
+            },
+            failures: vec![format!("the scan's record cannot be read: {why}")],
+            id,
+        }
     }
 }
 

@@ -69,7 +69,7 @@ pub struct SessionBody {
     pub started_unix_ms: u64,
     /// When it ended.
     pub ended_unix_ms: Option<u64>,
-    /// `scanning`, `complete`, `failed`, or `interrupted` if the daemon ended before it.
+    /// `scanning`, `complete`, `failed`, `interrupted` if the daemon ended before it, or `damaged` if its record cannot be read.
     pub state: &'static str,
     /// What went wrong.
     pub failures: Vec<String>,
@@ -113,9 +113,13 @@ pub fn read(
     running: Option<&SessionId>,
 ) -> io::Result<SessionBody> {
     let folder = existing(data, id)?;
-    let record = ScanRecord::read(&folder)?;
+    let (state, record) = match ScanRecord::read(&folder) {
+        Ok(record) => (state(&record, running), record),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(error),
+        Err(error) => ("damaged", ScanRecord::unreadable(id.clone(), &error)),
+    };
     Ok(SessionBody {
-        state: state(&record, running),
+        state,
         files: FILES.iter().filter_map(|file| file.body(&folder)).collect(),
         bytes: folder_bytes(&folder)?,
         id: record.id.into(),
@@ -236,6 +240,14 @@ mod tests {
             .collect();
         assert_eq!(files, [("base.ply", 5)]);
         assert_eq!(list(&data, Some(&id)).unwrap()[0].state, "scanning");
+
+        fs::write(folder.join("scan.json"), "{").unwrap();
+        let damaged = read(&data, &id, None).unwrap();
+        assert_eq!(damaged.state, "damaged");
+        assert_eq!((damaged.id.as_str(), damaged.files.len()), (id.as_str(), 1));
+        let path = folder.join("scan.json").display().to_string();
+        assert!(damaged.failures[0].contains(&path), "{damaged:?}");
+        assert_eq!(list(&data, None).unwrap(), [damaged]);
 
         assert!(file(&data, &id, "base.ply").is_ok());
         for name in ["report.json", "scan.json", "../base.ply", "refined.ply"] {

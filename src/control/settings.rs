@@ -2,8 +2,9 @@
 
 use super::camera_source::CameraSource;
 use crate::{
-    config::{self, CalibrationPlaces, Config, ConfigError, Overrides},
+    config::{self, CalibrationPlaces, Config, ConfigError, ControlParams, Overrides},
     devices::DeviceParams,
+    jobs::WorkerParams,
     pipeline::{PipelineParams, WhenFull},
 };
 use depth_camera::CameraInfo;
@@ -84,10 +85,16 @@ impl Settings {
         self.current().config.clone()
     }
 
-    /// The configuration in force as TOML, all keys.
-    pub fn to_toml(&self) -> String {
+    /// What refinements are made with, as TOML, all keys; it names them. How they are run and how the daemon is reached changes
+    /// nothing of what comes of them, and stands there as by default.
+    pub fn of_refinement(&self) -> String {
+        let config = Config {
+            worker: WorkerParams::default(),
+            control: ControlParams::default(),
+            ..self.config()
+        };
         // A configuration came from TOML, or is the default, which a test writes as TOML.
-        toml::to_string(&self.config()).unwrap_or_default()
+        toml::to_string(&config).unwrap_or_default()
     }
 
     /// Where calibrations named by serial number lie.
@@ -194,5 +201,27 @@ mod tests {
         settings.reload().unwrap();
         assert_eq!(settings.config().fusion.voxel_size_m, 0.005);
         assert_eq!(settings.error(), None);
+    }
+
+    #[test]
+    fn what_refinements_are_made_with_does_not_tell_how_they_are_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("relief.toml");
+        let made_with = |text: &str| {
+            fs::write(&path, text).unwrap();
+            let settings = Settings::read(SettingsPlaces {
+                config: Some(path.clone()),
+                calibration: None,
+                calibration_dir: folder.path().to_owned(),
+                n_threads: NonZeroUsize::MIN,
+                record: false,
+            });
+            settings.unwrap().of_refinement()
+        };
+        let plain = made_with("");
+        assert_eq!(made_with("[worker]\nnice = 5\n"), plain);
+        assert_ne!(made_with("[refine]\nn_rounds = 2\n"), plain);
+        let read: Config = toml::from_str(&plain).unwrap();
+        assert_eq!(read.refine, Config::default().refine);
     }
 }

@@ -22,6 +22,8 @@ pub struct StatusBody {
     pub advice: Option<&'static str>,
     /// `idle`, `capturing`, `meshing`, `refining`, `exporting`.
     pub phase: &'static str,
+    /// What cannot be written, naming the file; it is tried again until there is room.
+    pub storage_error: Option<String>,
     /// What is done to the scan at its end, or while frames are taken back, and how far that is.
     pub improvement: Option<ImprovementBody>,
     /// The scan that goes on.
@@ -224,6 +226,7 @@ impl StatusBody {
                 true => status.phase.code(),
                 false => "idle",
             },
+            storage_error: status.unwritten.values().next().cloned(),
             improvement: status.improvement.map(|improvement| ImprovementBody {
                 work: improvement.work.code(),
                 done: improvement.n_done,
@@ -311,12 +314,14 @@ impl RecordingBody {
     }
 }
 
-/// The refinement that concerns the operator most: the one that runs, else the newest of the scan that goes on or ended last.
+/// The refinement that concerns the operator most: the one that runs, else the newest of the scan that goes on or ended last, else
+/// the newest of all.
 fn refinement(supervisor: &Supervisor, scan: Option<&Scan>) -> RefinementBody {
     let worker = &supervisor.worker;
     let id = scan.map(|scan| scan.record.id.clone());
     let newest = || worker.of_scan(id.or(supervisor.ended().last)?.as_str());
-    let job = worker.status().running.or_else(newest);
+    let of_all = || worker.list().into_iter().next();
+    let job = worker.status().running.or_else(newest).or_else(of_all);
     let Some(job) = job else {
         return RefinementBody {
             state: "none",

@@ -2,7 +2,7 @@
 
 use super::{
     camera_source::{CameraSource, DeviceName, SourceError},
-    data_folder::{DataFolder, SessionId},
+    data_folder::{DataFolder, NoRoom, SessionId},
     events::{Events, Topic},
     interim,
     refined_error::RefinedError,
@@ -45,6 +45,9 @@ pub enum StartError {
     /// The calibration makes no sense.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The disk has too little room.
+    #[error(transparent)]
+    NoRoom(#[from] NoRoom),
     /// The scan's folder cannot be made.
     #[error(transparent)]
     Folder(#[from] OutputFolderError),
@@ -120,8 +123,6 @@ pub struct EndedScans {
     pub n_failed: u64,
     /// What became of all their frames.
     pub frames: FrameAccounts,
-    /// Their shading images.
-    pub n_snapshots: u64,
     /// The newest of them.
     pub last: Option<SessionId>,
 }
@@ -194,14 +195,31 @@ impl Supervisor {
         Ok(())
     }
 
-    /// Reads the configuration anew, for the scans and refinements that start from now on.
+    /// Reads the configuration anew, for the scans and refinements that start from now on, and logs what came of it.
     ///
     /// # Errors
     /// For a configuration that cannot be read or makes no sense; the old one stays.
     pub fn reload(&self) -> Result<(), ConfigError> {
-        self.settings.reload()?;
-        self.worker.set_settings(&self.settings.to_toml());
-        Ok(())
+        let reloaded = self.settings.reload();
+        match &reloaded {
+            Ok(()) => {
+                self.worker.set_settings(&self.settings.of_refinement());
+                tracing::info!(
+                    "configuration read anew; it holds for the scans that start from now on"
+                );
+            }
+            Err(error) => tracing::error!(%error, "the configuration stays as it was"),
+        }
+        reloaded
+    }
+
+    /// Checks that the disk has room for a scan.
+    ///
+    /// # Errors
+    /// If it has less than the configuration in force wants.
+    pub fn check_room(&self) -> Result<(), NoRoom> {
+        let floor_bytes = self.settings.config().capture.min_free_bytes();
+        self.data.check_room(floor_bytes)
     }
 
     /// Starts no more scans and no refinement, ends the refinement there is, which goes on when the daemon is back, and ends the
@@ -264,6 +282,7 @@ impl Supervisor {
 
     /// Opens the camera and starts the pipeline; waits for device and disk.
     fn open(&self, label: Option<String>) -> Result<(Handle, Arc<Scan>), StartError> {
+        self.check_room()?;
         let camera = self
             .source
             .open(|serial| self.settings.device_params(serial))?;
@@ -273,7 +292,7 @@ impl Supervisor {
             .settings
             .scan_params(id.as_str(), camera.info(), &self.source)?;
         let path = self.data.session(&id);
-        let folder = OutputFolder::claim(&path)?;
+        let folder = OutputFolder::claim(&path)?.waiting_for_room();
         let record = ScanRecord::started(id, label, device);
         let started = record
             .write(&path)
@@ -330,7 +349,6 @@ impl Supervisor {
         ended.n_scans += 1;
         ended.n_failed += u64::from(!record.failures.is_empty());
         ended.frames = sum(&ended.frames, &status.frames);
-        ended.n_snapshots += status.snapshots.accepted as u64;
         ended.last = Some(record.id.clone());
     }
 

@@ -7,11 +7,27 @@ use std::{
     fs::{self, File, Permissions},
     io::{self, Read, Write},
     os::unix::fs::PermissionsExt,
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 /// The file in the data directory.
 pub const TOKEN_NAME: &str = "token";
+
+/// Why the token cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum TokenError {
+    /// The file holds something else.
+    #[error("{} holds no token, which is 64 hexadecimal digits; remove the file to have a new one made", .0.display())]
+    Malformed(PathBuf),
+    /// The system refuses.
+    #[error("cannot use {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
 
 /// The token. It is neither printed nor logged.
 pub struct Token(String);
@@ -27,28 +43,31 @@ impl Token {
     ///
     /// # Errors
     /// If the system refuses, or the file holds something else.
-    pub fn of_folder(root: &Path) -> io::Result<Self> {
+    pub fn of_folder(root: &Path) -> Result<Self, TokenError> {
         let path = root.join(TOKEN_NAME);
-        match fs::read_to_string(&path) {
-            Ok(text) => {
-                // Somebody may have copied the file about: what others can read is no secret.
-                fs::set_permissions(&path, Permissions::from_mode(0o600))?;
-                Self::parse(text.trim())
-            }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Self::make(&path),
-            Err(error) => Err(error),
+        let token = match Self::read(&path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Self::make(&path).map(Some),
+            read => read,
+        };
+        match token {
+            Ok(Some(token)) => Ok(token),
+            Ok(None) => Err(TokenError::Malformed(path)),
+            Err(source) => Err(TokenError::Io { path, source }),
         }
     }
 
-    fn parse(text: &str) -> io::Result<Self> {
-        let is_digit = |byte: u8| byte.is_ascii_hexdigit();
-        match text.len() == 64 && text.bytes().all(is_digit) {
-            true => Ok(Token(text.to_owned())),
-            false => Err(io::Error::new(
-                io::ErrorKind::InvalidData,
-                "the token must be 64 hexadecimal digits; remove the file to have a new one made",
-            )),
-        }
+    /// The token in a file; `None` if it holds something else.
+    fn read(path: &Path) -> io::Result<Option<Self>> {
+        let bytes = fs::read(path)?;
+        // Somebody may have copied the file about: what others can read is no secret.
+        fs::set_permissions(path, Permissions::from_mode(0o600))?;
+        Ok(std::str::from_utf8(&bytes).ok().and_then(Self::parse))
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let text = text.trim();
+        let is_token = text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+        is_token.then(|| Token(text.to_owned()))
     }
 
     fn make(path: &Path) -> io::Result<Self> {
@@ -107,7 +126,13 @@ mod tests {
         let mode = fs::metadata(&path).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
         fs::write(&path, "short").unwrap();
-        assert!(Token::of_folder(folder.path()).is_err());
+        let error = Token::of_folder(folder.path()).unwrap_err();
+        assert!(matches!(error, TokenError::Malformed(_)), "{error}");
+        assert!(error.to_string().contains(path.to_str().unwrap()));
+        fs::remove_file(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        let error = Token::of_folder(folder.path()).unwrap_err();
+        assert!(matches!(error, TokenError::Io { .. }), "{error}");
     }
 
     #[test]

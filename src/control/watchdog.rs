@@ -61,7 +61,8 @@ fn has_not_moved(old: &Progress, new: &Progress, status: &Status) -> bool {
         return false;
     }
     if new.phase != Phase::Capturing {
-        return true;
+        // The disk is waited for, for as long as it takes.
+        return !status.waits_for_room();
     }
     let device_hangs = new.produced == old.produced && status.device == DeviceHealth::Streaming;
     let fusion_hangs = new.handled == old.handled && status.frames.in_flight > 0;
@@ -109,6 +110,17 @@ mod tests {
         assert!(has_not_moved(&progress(5, 5), &progress(5, 5), &streaming));
         assert!(!has_not_moved(&progress(5, 5), &progress(5, 5), &gone));
         assert!(has_not_moved(&progress(5, 4), &progress(9, 4), &busy));
+        let waiting = Status {
+            phase: Phase::Exporting,
+            unwritten: [("base.ply".to_owned(), "full".to_owned())].into(),
+            ..Status::default()
+        };
+        let exporting = Progress {
+            phase: Phase::Exporting,
+            ..progress(5, 5)
+        };
+        assert!(has_not_moved(&exporting, &exporting, &gone));
+        assert!(!has_not_moved(&exporting, &exporting, &waiting));
         let at = |phase, work: Work, n_done| Progress {
             phase,
             improvement: Some(work.at(n_done, 100)),

@@ -1,5 +1,6 @@
 //! Why a file could not be written or read.
 
+use crate::atomic_file::is_passing;
 use std::{
     io,
     path::{Path, PathBuf},
@@ -44,6 +45,11 @@ pub enum ExportError {
 }
 
 impl ExportError {
+    /// Whether the disk may take later what it refused: it was full, read-only or away.
+    pub fn is_passing(&self) -> bool {
+        matches!(self, ExportError::Write { cause, .. } if is_passing(cause))
+    }
+
     /// A failed write of `path`.
     pub(super) fn write(path: &Path, cause: io::Error) -> Self {
         ExportError::Write {

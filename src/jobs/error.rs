@@ -1,10 +1,8 @@
 //! Why a job cannot be taken, found or cancelled.
 
 use super::{JobId, JobState};
-use std::{
-    io::{self, ErrorKind},
-    path::PathBuf,
-};
+use crate::atomic_file::is_passing;
+use std::{io, path::PathBuf};
 
 /// Why the spool or the worker refuses.
 #[derive(Debug, thiserror::Error)]
@@ -55,17 +53,7 @@ pub enum JobError {
 impl JobError {
     /// Whether the disk may do later what it refused: it was full, read-only or away.
     pub(super) fn is_passing(&self) -> bool {
-        let JobError::Io { source, .. } = self else {
-            return false;
-        };
-        matches!(
-            source.kind(),
-            ErrorKind::StorageFull
-                | ErrorKind::QuotaExceeded
-                | ErrorKind::ReadOnlyFilesystem
-                | ErrorKind::StaleNetworkFileHandle
-                | ErrorKind::TimedOut
-        )
+        matches!(self, JobError::Io { source, .. } if is_passing(source))
     }
 }
 

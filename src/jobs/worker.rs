@@ -25,7 +25,7 @@ pub struct WorkerSetup {
     pub calibration_dir: PathBuf,
     /// Priority, limits, retries; must have been validated.
     pub params: WorkerParams,
-    /// The whole configuration as TOML, given to the child and part of a job's name.
+    /// What refinements are made with as TOML, given to the child and part of a job's name.
     pub settings: String,
 }
 

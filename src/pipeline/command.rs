@@ -24,7 +24,7 @@ pub enum Command {
     Reset,
     /// Ends capture; base mesh, shading images and report are written, and refinement runs if it was asked for.
     Finish,
-    /// Ends capture and all refinement; base mesh, shading images and report are still written.
+    /// Ends capture and all refinement; base mesh, shading images and report are still written, if the disk has room now.
     Abandon,
 }
 
@@ -126,7 +126,7 @@ impl Asked {
         if self.is_ending || status.phase != Phase::Capturing {
             return Err(CommandRefused::NotScanning);
         }
-        let has_fused = status.frames.fused > 0;
+        let has_fused = status.n_in_model > 0;
         let refused = match command {
             Command::Pause if self.is_paused => Some(CommandRefused::AlreadyPaused),
             Command::Resume if !self.is_paused => Some(CommandRefused::NotPaused),

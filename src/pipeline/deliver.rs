@@ -1,6 +1,8 @@
 //! The outputs of a run: what is written where, and what could not be.
 
-use super::{output_folder::OutputFolder, snapshot_meta::SnapshotMeta};
+use super::{
+    handle::Watch, output_folder::OutputFolder, patience::Patience, snapshot_meta::SnapshotMeta,
+};
 use crate::{
     capture::RecorderSummary,
     export::{
@@ -45,6 +47,8 @@ pub struct Outbox {
     folder: PathBuf,
     /// The folder as the account names it.
     name: PathBuf,
+    /// Waits where the disk is full; `None` where a file that finds no room is given up.
+    patience: Option<Patience>,
     account: Mutex<Account>,
 }
 
@@ -58,10 +62,12 @@ pub struct Account {
 }
 
 impl Outbox {
-    /// An outbox into a folder.
-    pub fn new(folder: &OutputFolder) -> Self {
+    /// An outbox into a folder; the pipeline's watch tells what waits for room there, and ends the wait.
+    pub fn new(folder: &OutputFolder, watch: &Watch) -> Self {
+        let waits = folder.waits_for_room();
         Outbox {
             name: folder.name().to_owned(),
+            patience: waits.then(|| Patience::new(&watch.status, &watch.stop)),
             ..Outbox::inside(folder.path())
         }
     }
@@ -71,6 +77,7 @@ impl Outbox {
         Outbox {
             folder: folder.to_owned(),
             name: folder.to_owned(),
+            patience: None,
             account: Mutex::default(),
         }
     }
@@ -80,12 +87,14 @@ impl Outbox {
         self.with_account(|account| account.clone())
     }
 
-    /// Writes the calibration, with which the scan can be refined again.
+    /// Writes the calibration, with which the scan can be refined again, at the scan's start, where nothing is waited for.
     pub fn calibration(&self, calibration: &Calibration) {
         match calibration.to_toml() {
-            Ok(text) => self.write(CALIBRATION, |path| {
-                write_atomically(path, |file| file.write_all(text.as_bytes()))
-            }),
+            Ok(text) => {
+                let path = self.folder.join(CALIBRATION);
+                let written = write_atomically(&path, |file| file.write_all(text.as_bytes()));
+                self.note(CALIBRATION, written);
+            }
             Err(what) => self.fail(format!("the calibration cannot be written: {what}")),
         }
     }
@@ -156,13 +165,12 @@ impl Outbox {
         self.write(SNAPSHOTS, |_| write_masks(&self.folder, masks));
     }
 
-    /// Takes what the recorder wrote into the account, and writes the trajectory.
+    /// Takes what the recorder wrote into the account.
     pub fn recorded(&self, summary: &RecorderSummary) {
         self.with_account(|account| {
             account.outputs.extend_from_slice(&summary.outputs);
             account.failures.extend_from_slice(&summary.failures);
         });
-        self.trajectory(&summary.trajectory);
     }
 
     /// Writes times (s) and poses, if there are any.
@@ -177,6 +185,7 @@ impl Outbox {
         let listed =
             [REPORT_HTML, REPORT_JSON].map(|name| self.name.join(name).display().to_string());
         report.outputs.extend(listed);
+        let report: &Report = report;
         self.write(REPORT_HTML, |path| {
             write_report_html(path, report, pictures)
         });
@@ -189,11 +198,20 @@ impl Outbox {
         self.with_account(|account| account.failures.push(what));
     }
 
-    fn write(&self, name: &str, write: impl FnOnce(&Path) -> Result<(), ExportError>) {
+    fn write(&self, name: &str, write: impl Fn(&Path) -> Result<(), ExportError>) {
         let path = self.folder.join(name);
-        match write(&path) {
+        let written = match &self.patience {
+            Some(patience) => patience.write(name, || write(&path)),
+            None => write(&path),
+        };
+        self.note(name, written);
+    }
+
+    /// Takes what was written, or could not be, into the account.
+    fn note(&self, name: &str, written: Result<(), ExportError>) {
+        match written {
             Ok(()) => {
-                tracing::debug!(path = %path.display(), "written");
+                tracing::debug!(path = %self.folder.join(name).display(), "written");
                 let listed = self.name.join(name);
                 self.with_account(|account| {
                     if !account.outputs.contains(&listed) {

@@ -74,7 +74,12 @@ impl Watch {
     /// If the command makes no sense now, or too many are waiting.
     pub fn command(&self, command: Command) -> Result<(), CommandRefused> {
         let desk = self.desk.as_ref().ok_or(CommandRefused::NotScanning)?;
-        desk.ask(command, &self.status())?;
+        let status = self.status();
+        if command == Command::Abandon && status.waits_for_room() {
+            self.stop();
+            return Ok(());
+        }
+        desk.ask(command, &status)?;
         match command {
             Command::Finish => self.end.stop(),
             Command::Abandon => self.stop(),
@@ -212,13 +217,15 @@ fn nothing_fused(subject: &Subject, endings: &Endings) -> String {
     let frames = report::frame_counts(endings);
     let first = endings.capture.first_damage.as_ref();
     format!(
-        "no frame of {} could be fused: {} frames, of which {} damaged, {} without depth in range, {} lost, {} dropped{}",
+        "no frame of {} could be fused: {} frames, of which {} damaged, {} without depth in range, {} lost, {} dropped, \
+         {} taken back{}",
         subject.session,
         frames.total,
         frames.damaged,
         frames.without_depth,
         frames.lost,
         frames.dropped,
+        endings.fusion.n_taken_back,
         first.map_or_else(String::new, |what| format!("; the first damage: {what}"))
     )
 }

@@ -38,6 +38,7 @@ mod stop_depth;
 mod deliver;
 mod depth_correction;
 mod output_folder;
+mod patience;
 mod pictures;
 mod report;
 mod self_calibration;
@@ -172,7 +173,7 @@ impl Pipeline {
             ..watch(camera.info())
         };
         let drops = Arc::new(DropCounts::default());
-        let outbox = Arc::new(Outbox::new(&folder));
+        let outbox = Arc::new(Outbox::new(&folder, &watch));
         if camera.info().ir_full_scale.is_some() {
             outbox.calibration(&params.calibration);
         }
@@ -248,14 +249,15 @@ impl Pipeline {
         let watch = watch(&info);
         // Frames that were fused before this run are told of as its own.
         let n_fused = scan.world_from_cameras.len() as u64;
-        watch
-            .status
-            .update(|status| (status.frames.produced, status.frames.fused) = (n_fused, n_fused));
+        watch.status.update(|status| {
+            (status.frames.produced, status.frames.fused) = (n_fused, n_fused);
+            status.phase = Phase::Refining;
+        });
         let refine = RefineSetup {
             keeps_scene: false,
             ..refine_setup(&params, &info, &watch)?
         };
-        let outbox = Arc::new(Outbox::new(&folder));
+        let outbox = Arc::new(Outbox::new(&folder, &watch));
         let outbox_of_refine = outbox.clone();
         let (scans_in, scans_out) = edges::scans();
         let status = &watch.status;

@@ -38,6 +38,7 @@ pub enum OutputFolderError {
 pub struct OutputFolder {
     path: PathBuf,
     named: PathBuf,
+    waits_for_room: bool,
 }
 
 impl OutputFolder {
@@ -56,6 +57,7 @@ impl OutputFolder {
         let folder = OutputFolder {
             path: path.to_owned(),
             named: path.to_owned(),
+            waits_for_room: false,
         };
         for entry in fs::read_dir(path).map_err(io_error)? {
             if entry.map_err(io_error)?.file_name() != LOCK_NAME {
@@ -70,6 +72,18 @@ impl OutputFolder {
         let mut named = self;
         named.named = folder.to_owned();
         named
+    }
+
+    /// The same folder, for outputs that wait where the disk is full instead of being lost, until the run is told to stop.
+    pub fn waiting_for_room(self) -> Self {
+        let mut waiting = self;
+        waiting.waits_for_room = true;
+        waiting
+    }
+
+    /// Whether outputs wait where the disk is full.
+    pub fn waits_for_room(&self) -> bool {
+        self.waits_for_room
     }
 
     /// The folder.

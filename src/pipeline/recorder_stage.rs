@@ -6,7 +6,7 @@ use super::{
     event_log::EventLog,
     status::{RecordingStatus, StatusSlot},
 };
-use crate::capture::{DeliveredFrame, Recorder, RecorderSummary, Tracked};
+use crate::capture::{DeliveredFrame, EVENTS_FILE, Recorder, RecorderSummary, Tracked};
 use crossbeam::{
     channel::{Receiver, never},
     select,
@@ -37,6 +37,9 @@ impl Telling {
         for event in recorder.take_events() {
             self.events.push(event);
         }
+        let refusal = recorder.events_refusal().map(str::to_owned);
+        self.status
+            .update(|status| status.note_unwritten(EVENTS_FILE, refusal));
         let has_failed = recorder.has_failed();
         let Some(standing) = recorder.standing() else {
             return self
@@ -58,7 +61,7 @@ impl Telling {
     }
 }
 
-/// Records until both senders are gone, then writes the trajectory.
+/// Records until both senders are gone, then writes the trajectory, and the events that waited for room.
 pub fn run(
     mut recorder: Recorder,
     frames: Receiver<DeliveredFrame>,
@@ -83,7 +86,12 @@ pub fn run(
     }
     recorder.end_frames();
     telling.tell(&mut recorder);
+    // It waits for room where that is wanted; then there is some for the events, too.
+    outbox.trajectory(recorder.trajectory());
     let summary = recorder.finish();
+    telling
+        .status
+        .update(|status| status.note_unwritten(EVENTS_FILE, None));
     outbox.recorded(&summary);
     summary
 }

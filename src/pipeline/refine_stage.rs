@@ -133,6 +133,7 @@ pub fn run(
                 faces = refinement.mesh.faces.len(),
                 status = ?refinement.status,
                 steps = refinement.iterations.len(),
+                remeshing_hausdorff_m = refinement.remeshing.hausdorff_m(),
                 "surface refined"
             );
             let mesh = || outbox.refined_mesh(&refinement);
@@ -141,7 +142,10 @@ pub fn run(
             summary.refinement = Some(refinement);
         }
         Err(reason) => {
-            tracing::warn!(reason, "not refined");
+            // Where nobody asked for refinement nothing is wrong.
+            if setup.refine.is_some() {
+                tracing::warn!(reason, "not refined");
+            }
             summary.not_refined_reason = Some(reason);
         }
     }

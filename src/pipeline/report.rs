@@ -12,9 +12,12 @@ use crate::{
     capture::CaptureSummary,
     export::{
         AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView,
-        Report, Tracking,
+        Remeshing, Report, SurfaceDistance, Tracking,
     },
-    refine::{Judgement, Material, RefineStatus, Refinement},
+    refine::{
+        Judgement, Material, RefineStatus, Refinement,
+        remesh::{Distances, RemeshDistance},
+    },
     snapshot::ShadingSnapshot,
 };
 use depth_camera::CameraInfo;
@@ -239,6 +242,7 @@ fn refined_mesh(
             })
             .collect(),
         edge_length_m: refinement.edge_length_m,
+        remeshing: remeshing(&refinement.remeshing),
         albedo: refinement
             .materials
             .iter()
@@ -258,6 +262,19 @@ fn refined_mesh(
         held_out: held_out(&refinement.judgement),
         evidence: evidence(refinement),
         views,
+    }
+}
+
+fn remeshing(distance: &RemeshDistance) -> Remeshing {
+    let one_way = |distances: &Distances| SurfaceDistance {
+        n_points: distances.n_points,
+        max_m: distances.max_m,
+        rms_m: distances.rms_m,
+    };
+    Remeshing {
+        hausdorff_m: distance.hausdorff_m(),
+        from_base: one_way(&distance.from_source),
+        from_remeshed: one_way(&distance.from_mesh),
     }
 }
 

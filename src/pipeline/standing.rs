@@ -29,7 +29,9 @@ pub fn standing(of_frames: State, around: Circumstances, status: &Status) -> Sta
         // Whoever covers a projector to take a picture is not lost.
         (_, State::Lost(Loss::CoveredLens)) if around.is_snapshotting => State::Snapshotting,
         (_, State::Warming | State::Lost(_) | State::Relocalising) => of_frames,
-        _ if recording.has_failed => State::Fault(Fault::StorageFailed),
+        _ if recording.has_failed || !status.unwritten.is_empty() => {
+            State::Fault(Fault::StorageFailed)
+        }
         _ if around.is_snapshotting => State::Snapshotting,
         _ if is_disk_low => State::Degraded(Degradation::DiskLow),
         _ => of_frames,
@@ -72,6 +74,10 @@ mod tests {
             },
             ..Status::default()
         };
+        let waiting = Status {
+            unwritten: [("events.jsonl".to_owned(), "full".to_owned())].into(),
+            ..Status::default()
+        };
         let lost = State::Lost(Loss::TooFast);
         let covered = State::Lost(Loss::CoveredLens);
         let low = State::Degraded(Degradation::DiskLow);
@@ -83,6 +89,12 @@ mod tests {
                 State::Tracking,
                 calm,
                 &broken,
+                State::Fault(Fault::StorageFailed),
+            ),
+            (
+                State::Tracking,
+                calm,
+                &waiting,
                 State::Fault(Fault::StorageFailed),
             ),
             (State::Tracking, taking, &fine, State::Snapshotting),

@@ -202,7 +202,7 @@ impl Fault {
         match self {
             Fault::DeviceGone => "The camera is gone: plug it in again and the scan goes on.",
             Fault::StorageFailed => {
-                "Something could not be written: check the disk; the report names the file."
+                "Something cannot be written: make room on the disk; what waits for it is tried again, and the log names the file."
             }
             Fault::Program => {
                 "A part of the program failed: finish the scan to keep what there is, and see the log."

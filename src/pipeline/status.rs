@@ -1,14 +1,20 @@
 //! What the pipeline is doing, newest only, and the tokens that stop it.
 
-use super::{accounts::FrameAccounts, state::State};
+use super::{
+    accounts::FrameAccounts,
+    state::{Fault, State},
+};
 use crate::{
     capture::DeviceHealth,
     fusion::Improvement,
     snapshot::{Guidance, SequenceStep},
 };
-use std::sync::{
-    Arc, Mutex, PoisonError,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 /// What the pipeline is busy with.
@@ -48,6 +54,8 @@ pub struct Status {
     pub n_announced: Option<usize>,
     /// What became of the frames so far.
     pub frames: FrameAccounts,
+    /// Frames that are in the model now; those taken back are not.
+    pub n_in_model: usize,
     /// Frames that fusion has handled a second, over the last second or so, paused ones too.
     pub fps: f64,
     /// How far the last frame was from being lost, 0 to 1; `None` where nothing was tracked, as at given poses.
@@ -67,6 +75,8 @@ pub struct Status {
     pub refinement: RefinementProgress,
     /// What is being recorded.
     pub recording: RecordingStatus,
+    /// Files that wait for room on the disk, by name, each with the reason why it cannot be written.
+    pub unwritten: BTreeMap<String, String>,
     /// The live mesh as it was extracted last; `None` as long as nobody looks.
     pub mesh: Option<MeshStatus>,
     /// Whether a part of the program ended by a fault of its own.
@@ -75,6 +85,28 @@ pub struct Status {
     pub device: DeviceHealth,
     /// How often it stopped delivering and began again: frames before and after may show different places.
     pub n_device_gaps: u64,
+}
+
+impl Status {
+    /// Notes why a file waits for room on the disk, or with `None` that it does not any more.
+    pub(super) fn note_unwritten(&mut self, name: &str, refusal: Option<String>) {
+        match refusal {
+            Some(refusal) => drop(self.unwritten.insert(name.to_owned(), refusal)),
+            None => drop(self.unwritten.remove(name)),
+        }
+        // While frames come the state follows from them.
+        if self.phase != Phase::Capturing && !self.has_fault {
+            self.state = match self.unwritten.is_empty() {
+                true => State::Draining,
+                false => State::Fault(Fault::StorageFailed),
+            };
+        }
+    }
+
+    /// Whether capture has ended and what it left waits for room on the disk.
+    pub fn waits_for_room(&self) -> bool {
+        self.phase != Phase::Capturing && !self.unwritten.is_empty()
+    }
 }
 
 impl From<Guidance> for SequenceStatus {
@@ -139,7 +171,7 @@ pub struct RecordingStatus {
     pub disk_floor_bytes: u64,
     /// Why recording stopped before the scan did; `None` as long as it goes on.
     pub reason: Option<String>,
-    /// Whether something of the scan itself could not be written.
+    /// Whether it is not whole, because something could not be written.
     pub has_failed: bool,
 }
 

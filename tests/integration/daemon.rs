@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use std::{
     fs::{self, File},
     io::Read,
+    os::unix::fs::symlink,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -135,6 +136,28 @@ fn look_at_files(client: Client, id: &str) {
     );
 }
 
+#[test]
+fn a_disk_that_is_full_when_a_scan_ends_is_waited_for() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client;
+    let id = daemon.scan();
+    let scan = daemon.bench.path("data/sessions").join(&id);
+    // The first write finds no room; its end takes the link away.
+    symlink("/dev/full", scan.join(".base.ply.partial")).unwrap();
+    assert_eq!(client.post("/api/v1/scan/finish", "").status, 202);
+    let status = daemon.await_status("the refusal", |status| {
+        status["storage_error"].is_string() && status["reason"] == "storage_failed"
+    });
+    let error = status["storage_error"].as_str().unwrap();
+    assert!(error.contains("base.ply"), "{error}");
+    assert_eq!(status["state"], "fault");
+    let status = daemon.await_state("idle");
+    assert!(status["storage_error"].is_null());
+    let session = client.get(&format!("/api/v1/sessions/{id}")).json();
+    assert_eq!(session["state"], "complete", "{session}");
+    assert!(scan.join("base.ply").is_file());
+}
+
 /// Cancels what is asked for of a scan, and removes it.
 fn remove(client: Client, id: &str) {
     let job = client.get(&format!("/api/v1/sessions/{id}")).json()["job"]["id"].clone();
@@ -256,9 +279,11 @@ fn what_makes_no_sense_is_refused_with_a_code() {
     client
         .post("/api/v1/scan", "{")
         .assert_problem(400, "bad_body");
-    client
-        .post("/api/v1/scan", r#"{"path":"/"}"#)
-        .assert_problem(400, "bad_body");
+    for body in [r#"{"path":"/"}"#, r#" ["vase"]"#, "7"] {
+        client
+            .post("/api/v1/scan", body)
+            .assert_problem(400, "bad_body");
+    }
     let label = json!({ "label": "x".repeat(201) }).to_string();
     client
         .post("/api/v1/scan", &label)
@@ -337,6 +362,7 @@ fn every_route_is_in_the_document() {
         "relief_tracking_state{state=\"idle\"} 1.0",
         "relief_frames_total{outcome=\"fused\"} 0",
         "relief_frames_unaccounted 0.0",
+        "relief_snapshots_kept 0.0",
         "# EOF",
     ] {
         assert!(
@@ -432,10 +458,34 @@ fn a_daemon_that_cannot_start_says_why() {
     let config = bench.write("bad.toml", "[fusion]\nvoxel_size_m = 0\n");
     let (code, said) = refused(&bench, &["--config", config.to_str().unwrap()]);
     assert_eq!(code, Some(3), "{said}");
+    let token = bench.path("data/token");
+    fs::create_dir_all(token.parent().unwrap()).unwrap();
+    fs::write(&token, "short").unwrap();
+    let (code, said) = refused(&bench, &["--require-token"]);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("data/token holds no token"), "{said}");
     fs::remove_file(bench.session().join("session.toml")).unwrap();
     let (code, said) = refused(&bench, &[]);
     assert_eq!(code, Some(4), "{said}");
     assert!(said.contains("session.toml"), "{said}");
+}
+
+#[test]
+fn more_threads_than_any_machine_has_are_refused_everywhere() {
+    for command in [
+        &["run"][..],
+        &["replay", "session", "--out", "out"],
+        &["refine", "out", "--out", "refined"],
+        &["evaluate", "out", "--out", "evaluation"],
+        &["bench", "session"],
+    ] {
+        let output = Command::new(PROGRAM)
+            .args(command)
+            .args(["--threads", "100000"])
+            .output()
+            .unwrap();
+        assert_says(&output, 2, &["100000 threads, must be 1 to 1024"]);
+    }
 }
 
 /// A recording in the data directory, as a daemon that was killed leaves it.

@@ -207,6 +207,10 @@ fn a_scan_is_paused_undone_written_down_begun_anew_and_finished() {
     assert!(!interim.scan.snapshots.unwrap().accepted.is_empty());
 
     scan.ask(Command::Reset, |kind| *kind == EventKind::Reset);
+    for command in [undo, Command::Refine] {
+        let refused = watch.command(command);
+        assert_eq!(refused, Err(CommandRefused::NothingFused), "{command:?}");
+    }
     let status = scan.feed(3);
     assert_eq!(status.frames.fused, 16);
     watch.command(Command::Finish).unwrap();
@@ -223,6 +227,20 @@ fn a_scan_is_paused_undone_written_down_begun_anew_and_finished() {
     assert_eq!(frames.unaccounted, 0);
     assert_eq!(n_poses(&folder), 3, "since the scan was begun anew");
     assert!(outcome.report.base_mesh.faces > 0);
+    drop(scan.feed);
+}
+
+#[test]
+fn a_scan_whose_frames_were_all_taken_back_says_so() {
+    let mut scan = Scan::begin(40, PATIENT_SECS);
+    scan.feed(3);
+    scan.ask(Command::Reset, |kind| *kind == EventKind::Reset);
+    scan.watch.command(Command::Finish).unwrap();
+    let outcome = scan.handle.join();
+    let [failure] = &outcome.failures[..] else {
+        panic!("one failure: {:?}", outcome.failures);
+    };
+    assert!(failure.ends_with("0 dropped, 3 taken back"), "{failure}");
     drop(scan.feed);
 }
 

@@ -1,5 +1,6 @@
 //! The accept loop: few connections, short patience with each, TLS where there is a certificate.
 
+use super::write_timeout::WriteTimeout;
 use axum::Router;
 use hyper::{body::Incoming, server::conn::http1};
 use hyper_util::rt::{TokioIo, TokioTimer};
@@ -21,6 +22,9 @@ const HEAD_PATIENCE: Duration = Duration::from_secs(10);
 
 /// How long a client may take for the handshake of TLS.
 const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(10);
+
+/// How long a client may take nothing of what is sent to it.
+const WRITE_PATIENCE: Duration = Duration::from_secs(30);
 
 /// What a connection holds for a request that arrives, bytes; a head must fit in.
 const BUFFER_BYTES: usize = 32 * 1024;
@@ -74,6 +78,7 @@ impl Acceptor {
         };
         // Previews are small messages that must not wait for one another.
         let _ = stream.set_nodelay(true);
+        let stream = WriteTimeout::new(stream, WRITE_PATIENCE);
         let (router, ending) = (self.router.clone(), self.ending.subscribe());
         match self.tls.clone() {
             Some(tls) => tokio::spawn(serve_tls(stream, tls, router, ending, place)),
@@ -93,7 +98,7 @@ impl Acceptor {
 
 /// Shakes hands, then serves; a client that is slow or speaks something else is closed.
 async fn serve_tls(
-    stream: TcpStream,
+    stream: WriteTimeout<TcpStream>,
     tls: TlsAcceptor,
     router: Router,
     ending: watch::Receiver<()>,

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 /// Longest body of a request, bytes.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// A JSON body; an empty one stands for the default, as `null` does.
+/// A JSON object as a body; an empty body stands for the default, as `null` does.
 pub struct JsonBody<T>(pub T);
 
 impl<S: Send + Sync, T: DeserializeOwned + Default> FromRequest<S> for JsonBody<T> {
@@ -21,6 +21,11 @@ impl<S: Send + Sync, T: DeserializeOwned + Default> FromRequest<S> for JsonBody<
         let bytes = read(request.into_body()).await?;
         if bytes.is_empty() {
             return Ok(JsonBody(T::default()));
+        }
+        // What is read as an object would also be read as the list of its values.
+        if bytes.trim_ascii_start().starts_with(b"[") {
+            let detail = "the body is an array, must be an object or null";
+            return Err(Problem::bad_request("bad_body", detail));
         }
         serde_json::from_slice::<Option<T>>(&bytes)
             .map(|body| JsonBody(body.unwrap_or_default()))

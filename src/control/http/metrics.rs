@@ -79,8 +79,11 @@ fn scans(scrape: &mut Scrape, supervisor: &Supervisor) {
         "outcome",
         &outcomes,
     );
-    let n_snapshots = ended.n_snapshots + running.snapshots.accepted as u64;
-    scrape.counter("snapshots", "Shading images", n_snapshots);
+    scrape.gauge(
+        "snapshots_kept",
+        "Shading images of the scan that goes on",
+        running.snapshots.accepted as f64,
+    );
     scrape.counter("scans_ended", "Scans that ended", ended.n_scans);
     scrape.counter(
         "scans_failed",

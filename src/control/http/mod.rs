@@ -4,6 +4,7 @@ mod accept;
 mod body;
 mod guard;
 mod problem;
+mod write_timeout;
 
 mod events;
 mod jobs;

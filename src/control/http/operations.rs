@@ -23,7 +23,7 @@ pub async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether a scan could start, or goes on: the camera answers, and the disk can be written
+/// Whether a scan could start, or goes on: the camera answers, and the disk can be written and has room
 #[utoipa::path(get, path = "/readyz", responses(
     (status = 200, content_type = "text/plain", body = String),
     (status = "default", body = ProblemBody, content_type = "application/problem+json"),
@@ -34,9 +34,13 @@ pub async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem
         if supervisor.is_draining() {
             return Err(not_ready("draining", "the daemon is ending"));
         }
-        // A camera that is being scanned with cannot be asked; the scan tells of it.
-        if supervisor.scan().is_none() && supervisor.source.list().is_empty() {
-            return Err(not_ready("no_device", "the camera does not answer"));
+        // A camera that is being scanned with cannot be asked; the scan tells of it, and of the room that there is.
+        if supervisor.scan().is_none() {
+            if supervisor.source.list().is_empty() {
+                return Err(not_ready("no_device", "the camera does not answer"));
+            }
+            let room = supervisor.check_room();
+            room.map_err(|error| not_ready("storage_failed", &error.to_string()))?;
         }
         // Not by the bits of its mode: the file system may be read-only, or the folder somebody else's.
         let folder = supervisor.data.sessions();

@@ -86,7 +86,8 @@ impl From<StartError> for Problem {
             StartError::Draining => Problem::conflict("draining", error),
             StartError::Camera(error) => unavailable(code_of(error)),
             StartError::Config(_) => Problem::conflict("bad_config", error),
-            StartError::Folder(_)
+            StartError::NoRoom(_)
+            | StartError::Folder(_)
             | StartError::Record(_)
             | StartError::Spawn(SpawnError::Recorder(_)) => unavailable("storage_failed"),
             StartError::Spawn(_) | StartError::Program(_) => Problem::internal(error),

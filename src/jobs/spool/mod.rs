@@ -43,7 +43,7 @@ pub struct Spool {
 
 impl Spool {
     /// Takes hold of the spool of a data directory, and takes every job to where it belongs: one that was running when the process
-    /// ended has failed once more and waits again.
+    /// ended waits again, unless that was too often.
     ///
     /// # Errors
     /// If another process works on it, or the system refuses.
@@ -166,10 +166,7 @@ impl Spool {
             match (&record.ending, attempt) {
                 (Some(ending), None) => self.move_record(place, &record.id, ending.place())?,
                 (Some(ending), Some(_)) => self.settle(place, &record, ending.place())?,
-                (None, Some(_)) => {
-                    let reason = "the daemon ended while it ran".to_owned();
-                    self.note_failure(&mut record, reason, true)?;
-                }
+                (None, Some(_)) => self.note_interruption(record)?,
                 (None, None) => self.move_record(place, &record.id, Place::Waiting)?,
             }
         }

@@ -70,6 +70,9 @@ pub struct Record {
     pub version: String,
     /// Why its attempts failed, in order.
     pub failures: Vec<String>,
+    /// How often the daemon ended while it ran, without having been told to.
+    #[serde(default)]
+    pub n_interruptions: u32,
     /// The number of the output folder of the attempt that is under way.
     pub attempt: Option<u32>,
     /// Whether that attempt succeeded, and its outputs are moved to the scan's folder.
@@ -111,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_record_that_names_no_version_is_of_the_first() {
+    fn a_record_of_the_first_version_is_read() {
         let text = format!(
             r#"{{"id":"{:064x}","scan":"a","sequence":0,"submitted_unix_ms":1,"settings":"s.toml",
                 "failures":[],"attempt":null,"is_landing":false,"ending":null}}"#,
@@ -119,5 +122,6 @@ mod tests {
         );
         let record: Record = serde_json::from_str(&text).unwrap();
         assert_eq!(record.version, "0.1.0");
+        assert_eq!(record.n_interruptions, 0);
     }
 }

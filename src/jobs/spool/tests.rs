@@ -100,6 +100,33 @@ fn failures_are_kept_and_counted() {
 }
 
 #[test]
+fn a_job_outlives_many_ends_of_the_daemon_but_not_all() {
+    let root = tempfile::tempdir().unwrap();
+    let mut spool = open(root.path());
+    spool.submit(&request(1, "a")).unwrap();
+    let mut n_ends = 0;
+    while spool.claim().unwrap().is_some() {
+        drop(spool);
+        spool = open(root.path());
+        n_ends += 1;
+    }
+    assert_eq!(n_ends, 11);
+    let (_, record) = spool.find(&id(1)).unwrap().unwrap();
+    assert_eq!(states(&spool)[&id(1)], JobState::Failed);
+    let ending = record.ending.unwrap();
+    assert_eq!((record.failures.len(), record.n_interruptions), (0, 11));
+    assert!(ending.message.unwrap().contains("ended 11 times"));
+
+    // Asked for again it begins anew, and an end that it was told of is none of these.
+    spool.submit(&request(1, "a")).unwrap();
+    spool.claim().unwrap().unwrap();
+    spool.put_back(&id(1)).unwrap();
+    drop(spool);
+    let (_, record) = open(root.path()).find(&id(1)).unwrap().unwrap();
+    assert_eq!(record.n_interruptions, 0);
+}
+
+#[test]
 fn a_newer_job_takes_the_place_of_one_that_waits_but_not_of_one_that_runs() {
     let root = tempfile::tempdir().unwrap();
     let spool = open(root.path());

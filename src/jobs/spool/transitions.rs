@@ -4,6 +4,10 @@ use super::{Ending, Place, Record, Spool, at, attempt_folder, durable};
 use crate::jobs::{JobError, JobId, JobState};
 use std::collections::BTreeMap;
 
+/// So often a daemon may end while a job runs: more often than those who start it let it fail, and rarely enough for a refinement
+/// that takes the machine with it to end.
+const MAX_INTERRUPTIONS: u32 = 10;
+
 /// So many jobs that are over are kept.
 const MAX_KEPT: usize = 200;
 
@@ -54,6 +58,7 @@ impl Spool {
                     settings: self.keep_settings(request.settings)?,
                     version: request.version.to_owned(),
                     failures: Vec::new(),
+                    n_interruptions: 0,
                     attempt,
                     is_landing: false,
                     ending: None,
@@ -159,28 +164,31 @@ impl Spool {
     /// If it does not run, or the system refuses.
     pub fn fail(&self, id: &JobId, reason: String, may_repeat: bool) -> Result<(), JobError> {
         let mut record = self.running(id)?;
-        self.note_failure(&mut record, reason, may_repeat)
-    }
-
-    pub(super) fn note_failure(
-        &self,
-        record: &mut Record,
-        reason: String,
-        may_repeat: bool,
-    ) -> Result<(), JobError> {
         record.attempt = None;
         record.is_landing = false;
         record.failures.push(reason.clone());
         let is_over = !may_repeat || record.failures.len() > self.max_retries as usize;
-        match is_over || record.ending.is_some() {
-            true => self.end_at(
-                Place::Running,
-                record.clone(),
-                JobState::Failed,
-                Some(reason),
-            ),
-            false => self.settle(Place::Running, record, Place::Waiting),
+        self.repeat_or_end(record, is_over, reason)
+    }
+
+    /// Notes that the daemon ended while a job ran: that costs it no attempt, unless it was too often.
+    pub(super) fn note_interruption(&self, mut record: Record) -> Result<(), JobError> {
+        record.n_interruptions += 1;
+        let n_times = record.n_interruptions;
+        tracing::warn!(job = %record.id, n_times, "the daemon ended while this refinement ran");
+        let reason = format!("the daemon ended {n_times} times while it ran");
+        self.repeat_or_end(record, n_times > MAX_INTERRUPTIONS, reason)
+    }
+
+    /// Lets a job wait again, or gives it up.
+    fn repeat_or_end(&self, record: Record, is_over: bool, reason: String) -> Result<(), JobError> {
+        if record.ending.is_none() && !is_over {
+            return self.settle(Place::Running, &record, Place::Waiting);
         }
+        if record.ending.is_none() {
+            tracing::warn!(job = %record.id, scan = record.scan, reason, "refinement given up");
+        }
+        self.end_at(Place::Running, record, JobState::Failed, Some(reason))
     }
 
     /// Lets the running job wait again as if it had not begun.

@@ -77,10 +77,14 @@ impl InterimWriter {
                     }));
                     EventKind::Interim { folder }
                 }
-                Err(reason) => EventKind::Refused {
-                    command: "refine",
-                    reason,
-                },
+                Err(reason) => {
+                    // Half of it is of no use, and takes room.
+                    let _ = fs::remove_dir_all(&folder);
+                    EventKind::Refused {
+                        command: "refine",
+                        reason,
+                    }
+                }
             };
             events.send(Tracked::Event(Event {
                 frame_id: interim.frame_id,

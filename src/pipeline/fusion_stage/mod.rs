@@ -145,6 +145,8 @@ pub struct FusionSummary {
     pub n_unpolished: u64,
     /// Frames without depth.
     pub n_without_depth: u64,
+    /// Frames that were in the model until the operator took them back.
+    pub n_taken_back: u64,
     /// When tracking was lost.
     pub losses: Losses,
     /// What of the scene found no place in the model.

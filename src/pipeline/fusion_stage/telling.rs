@@ -25,6 +25,7 @@ impl FusionStage {
         let rate = self.pulse.beat();
         self.status.update(|status| {
             status.frames.arrived(place);
+            status.n_in_model = self.trajectory.len();
             status.fitness = self.fitness;
             status.ir_saturated_share = saturated_share;
             status.fps = rate.unwrap_or(status.fps);
