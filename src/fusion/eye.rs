@@ -17,6 +17,9 @@ use crate::geometry::{CameraModel, Pose};
 use depth_camera::Image;
 use pulp::Arch;
 
+/// A frame is fused for no more than so many: weights of a voxel end at 256 frames, which fewer images would fill with their own noise.
+const MOST_FRAMES_AS_ONE: usize = 4;
+
 /// A frame of which a smaller share of the model's pixels has a normal shows specks, no surface; arbitrary, a square of 8 cm alone
 /// in the working range, 0.7 m before a Kinect II, has as much.
 const MIN_SURFACE_SHARE: f64 = 0.005;
@@ -66,7 +69,7 @@ impl Eye {
         self.n_frames = n_frames;
     }
 
-    /// Fuses the frame in hand into a volume, by the weight of all that it stands for.
+    /// Fuses the frame in hand into a volume, by the weight of what it stands for.
     pub fn fuse_into(
         &mut self,
         volume: &mut TsdfVolume,
@@ -87,7 +90,7 @@ impl Eye {
             turns,
         );
         on_step(FusionStep::Allocate);
-        let weight = turns.weight() * self.n_frames as f32;
+        let weight = turns.weight() * self.n_frames.min(MOST_FRAMES_AS_ONE) as f32;
         let view = View::new(volume, self.lens, world_from_camera, weight);
         integrate(self.arch, volume, band.touched(), &self.observations, &view);
         on_step(FusionStep::Integrate);

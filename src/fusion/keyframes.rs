@@ -91,6 +91,14 @@ impl Keyframes {
     /// Takes the frame in hand in, which was fused where the track now ends, unless it is one of those between.
     pub fn offer(&mut self, eye: &Eye, track: &Track, given: Option<Pose>, stretch: usize) {
         self.n_skipped += 1;
+        if self
+            .frames
+            .last()
+            .is_some_and(|last| last.stretch != stretch)
+        {
+            // What was seen before tracking broke is seen from elsewhere now.
+            self.n_unkept = 0;
+        }
         self.n_unkept += eye.n_frames;
         if self.max_bytes == 0 || (self.n_skipped < self.stride && !self.frames.is_empty()) {
             return;
@@ -124,7 +132,7 @@ impl Keyframes {
         self.memory_bytes = self.frames.iter().map(|f| f.depth.memory_bytes()).sum();
     }
 
-    /// Lets one of at least two frames go: the one before it stands for it.
+    /// Lets one of at least two frames go: the one before it stands for it, or the one after it where tracking broke between.
     fn let_one_go(&mut self) {
         if self.next_to_go >= self.frames.len() {
             self.stride *= 2;
@@ -132,7 +140,14 @@ impl Keyframes {
         }
         let gone = self.frames.remove(self.next_to_go);
         self.memory_bytes -= gone.depth.memory_bytes();
-        self.frames[self.next_to_go - 1].n_frames += gone.n_frames;
+        let beside = &mut self.frames[self.next_to_go - 1..];
+        let standing = beside
+            .iter_mut()
+            .take(2)
+            .find(|frame| frame.stretch == gone.stretch);
+        if let Some(frame) = standing {
+            frame.n_frames += gone.n_frames;
+        }
         self.next_to_go += 1;
     }
 }

@@ -97,6 +97,7 @@ impl Fusion {
         world_from_camera: &Pose,
     ) -> TrackingOutcome {
         self.eye.take_kept(depth, frame.n_frames);
+        self.stretch = frame.stretch;
         self.fuse_as_given(frame.time_secs, world_from_camera)
     }
 

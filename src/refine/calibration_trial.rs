@@ -7,6 +7,7 @@
 use super::error::RefineError;
 use super::held_out::{hold_out, slow_gain};
 use super::level::{Level, coarsest};
+use super::optics::Optics;
 use super::params::RefineParams;
 use super::preparation::{Subject, first_views, views_of};
 use super::rounds::Rounds;
@@ -36,19 +37,20 @@ pub struct CalibrationTrial<'a> {
 impl CalibrationTrial<'_> {
     /// What views say of the calibration that they were made with, and of gloss.
     pub fn ask(&self, views: &[View]) -> Told {
-        self.ask_with(&self.params.self_calibration, views)
+        let params = &self.params.self_calibration;
+        self.ask_with(params, views, self.subject.optics)
     }
 
-    fn ask_with(&self, params: &SelfCalibrationParams, views: &[View]) -> Told {
+    fn ask_with(&self, params: &SelfCalibrationParams, views: &[View], optics: &Optics) -> Told {
         if !params.enabled {
             return Told::default();
         }
         let sites = Sites::new(SiteKind::Face, self.mesh, views, self.asked);
-        told_by_images(&sites, views, self.subject.optics, params, self.tolerance)
+        told_by_images(&sites, views, optics, params, self.tolerance)
     }
 
     /// Makes the views anew by what they told against the calibration, if that leaves less slow gain on a level than what is believed.
-    /// Else they are asked again with that.
+    /// With the one that stands they are asked again for the rest.
     pub fn judge(&self, told: Told, level: &Level, mut views: Vec<View>) -> (Told, Vec<View>) {
         let Some(Contradiction { calibration, .. }) = &told.contradiction else {
             return (told, views);
@@ -66,12 +68,20 @@ impl CalibrationTrial<'_> {
         tracing::info!(believed, found, "slow gain by either calibration");
         let is_better = believed.zip(found);
         if is_better.is_some_and(|(believed, found)| found < believed) {
-            return (told, views);
+            let rest = self.ask_with(&self.params.self_calibration, &views, relit.optics);
+            let contradiction = told.contradiction;
+            return (
+                Told {
+                    contradiction,
+                    ..rest
+                },
+                views,
+            );
         }
         views.clear();
         views = views_of(self.subject, self.params);
         let held = self.params.self_calibration.held();
-        (self.ask_with(&held, &views), views)
+        (self.ask_with(&held, &views, self.subject.optics), views)
     }
 
     /// Of the views that judge, on the albedo that the others tell; `None` where either see nothing.

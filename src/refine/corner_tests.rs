@@ -2,16 +2,18 @@
 
 use super::gaze::Gaze;
 use super::optics::Optics;
+use super::params::RefineParams;
+use super::preparation::{Preparation, Subject, first_views};
 use super::rounds::radius_about;
 use super::scenes::{FULL_SCALE, calibration, optics};
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
-use crate::geometry::{Pose, RayGrid, TriMesh};
+use crate::geometry::{Pose, RayGrid, TriMesh, increment_about};
 use crate::interreflection::WhiteLevel;
-use crate::shading::Gloss;
+use crate::shading::{Calibration, Gloss};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector3, Vector6};
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// Distance of the corner's edge, metres; it runs along y, and the planes come towards the camera on either side.
@@ -28,66 +30,107 @@ fn at(x: f64, y: f64) -> (Point3<f64>, Vector3<f64>) {
     (Point3::new(x, y, EDGE_M - x.abs()), normal)
 }
 
-/// Direct light times albedo.
-fn direct(optics: &Optics, x: f64, y: f64) -> f64 {
-    let (point, normal) = at(x, y);
-    WHITE.0 * REFLECTED * optics.light.irradiance(&point, &normal)
+/// The corner, lit from a camera.
+struct Corner<'a> {
+    optics: &'a Optics<'a>,
+    camera_from_world: Pose,
+    albedo: f64,
 }
 
-/// What the other plane adds.
-fn bounced(optics: &Optics, x: f64, y: f64) -> f64 {
-    let (point, normal) = at(x, y);
-    let (n, [half_x, half_y]) = (30, HALF_M);
-    let (step_x, step_y) = (half_x / f64::from(n), 2.0 * half_y / f64::from(n));
-    let area = step_x / FRAC_1_SQRT_2 * step_y;
-    let squares = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
-    let sum: f64 = squares
-        .map(|(i, j)| {
-            let other_x = -x.signum() * (f64::from(i) + 0.5) * step_x;
-            let other_y = (f64::from(j) + 0.5) * step_y - half_y;
-            let (other, other_normal) = at(other_x, other_y);
-            let across = other - point;
-            let cosines = normal.dot(&across) * -other_normal.dot(&across);
-            direct(optics, other_x, other_y) * area * cosines / across.norm_squared().powi(2)
+impl Corner<'_> {
+    /// Direct light times albedo.
+    fn direct(&self, x: f64, y: f64) -> f64 {
+        let (point, normal) = at(x, y);
+        let (point, normal) = (
+            self.camera_from_world * point,
+            self.camera_from_world * normal,
+        );
+        WHITE.0 * self.albedo * self.optics.light.irradiance(&point, &normal)
+    }
+
+    /// What the other plane adds.
+    fn bounced(&self, x: f64, y: f64) -> f64 {
+        let (point, normal) = at(x, y);
+        let (n, [half_x, half_y]) = (30, HALF_M);
+        let (step_x, step_y) = (half_x / f64::from(n), 2.0 * half_y / f64::from(n));
+        let area = step_x / FRAC_1_SQRT_2 * step_y;
+        let squares = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
+        let sum: f64 = squares
+            .map(|(i, j)| {
+                let other_x = -x.signum() * (f64::from(i) + 0.5) * step_x;
+                let other_y = (f64::from(j) + 0.5) * step_y - half_y;
+                let (other, other_normal) = at(other_x, other_y);
+                let across = other - point;
+                let cosines = normal.dot(&across) * -other_normal.dot(&across);
+                self.direct(other_x, other_y) * area * cosines / across.norm_squared().powi(2)
+            })
+            .sum();
+        self.albedo / PI * sum
+    }
+
+    /// Where the ray of a pixel, in the camera's frame, meets the planes; `None` beyond what there is of them.
+    fn met(&self, ray: &Vector3<f64>) -> Option<Point3<f64>> {
+        let world_from_camera = self.camera_from_world.inverse();
+        let (origin, ray) = (
+            world_from_camera.translation.vector,
+            world_from_camera * ray,
+        );
+        [-1.0, 1.0].into_iter().find_map(|side: f64| {
+            let t = (EDGE_M - origin.z - side * origin.x) / (ray.z + side * ray.x);
+            let point = Point3::from(origin + t * ray);
+            let is_there =
+                (0.0..=HALF_M[0]).contains(&(side * point.x)) && point.y.abs() <= HALF_M[1];
+            is_there.then_some(point)
         })
-        .sum();
-    REFLECTED / PI * sum
-}
+    }
 
-fn snapshot(optics: &Optics) -> ShadingSnapshot {
-    let camera = optics.rays.camera().intrinsics();
-    let (mut counts, mut depths) = (Vec::new(), Vec::new());
-    for ray in optics.rays.rays().data() {
-        let [x, y] = ray.map(f64::from);
-        let depth = EDGE_M / (1.0 + x.abs());
-        let (x_m, y_m) = (x * depth, y * depth);
-        if x_m.abs() > HALF_M[0] || y_m.abs() > HALF_M[1] {
-            counts.push(0.0);
-            depths.push(0.0);
-            continue;
+    fn snapshot(&self) -> ShadingSnapshot {
+        let camera = self.optics.rays.camera().intrinsics();
+        let (mut counts, mut depths) = (Vec::new(), Vec::new());
+        for ray in self.optics.rays.rays().data() {
+            let [x, y] = ray.map(f64::from);
+            let Some(point) = self.met(&Vector3::new(x, y, 1.0)) else {
+                counts.push(0.0);
+                depths.push(0.0);
+                continue;
+            };
+            let linear = self.direct(point.x, point.y) + self.bounced(point.x, point.y);
+            let Calibration {
+                flat_field, gamma, ..
+            } = self.optics.calibration;
+            counts.push((FULL_SCALE * (linear * flat_field.factor(x, y)).powf(*gamma)) as f32);
+            depths.push((self.camera_from_world * point).z as f32);
         }
-        let linear = direct(optics, x_m, y_m) + bounced(optics, x_m, y_m);
-        let flat = optics.calibration.flat_field.factor(x, y);
-        counts.push((FULL_SCALE * (linear * flat).powf(optics.calibration.gamma)) as f32);
-        depths.push(depth as f32);
-    }
-    ShadingSnapshot {
-        frame_id: 0,
-        device_time_secs: 0.0,
-        n_exposures: 1,
-        ir_counts: Image::from_vec(camera.width, camera.height, counts),
-        unlit_counts: None,
-        depth_m: Image::from_vec(camera.width, camera.height, depths),
-        world_from_camera: Pose::identity(),
+        ShadingSnapshot {
+            frame_id: 0,
+            device_time_secs: 0.0,
+            n_exposures: 1,
+            ir_counts: Image::from_vec(camera.width, camera.height, counts),
+            unlit_counts: None,
+            depth_m: Image::from_vec(camera.width, camera.height, depths),
+            world_from_camera: self.camera_from_world.inverse(),
+        }
     }
 }
 
-fn mesh() -> TriMesh {
-    let [x, y] = HALF_M;
-    let corners = [(-x, -y), (-x, y), (0.0, -y), (0.0, y), (x, -y), (x, y)];
+/// The planes in so many squares along y, and half as many along x on either side.
+fn mesh(n: usize) -> TriMesh {
+    let [half_x, half_y] = HALF_M;
+    let step = |k: usize, half: f64| half * (2.0 * k as f64 / n as f64 - 1.0);
+    let index = |i: usize, j: usize| (i * (n + 1) + j) as u32;
+    let squares = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
     TriMesh {
-        vertices: corners.iter().map(|&(x, y)| at(x, y).0).collect(),
-        faces: vec![[0, 1, 2], [2, 1, 3], [2, 3, 4], [4, 3, 5]],
+        vertices: (0..=n)
+            .flat_map(|i| (0..=n).map(move |j| (i, j)))
+            .map(|(i, j)| at(step(i, half_x), step(j, half_y)).0)
+            .collect(),
+        faces: squares
+            .flat_map(|(i, j)| {
+                let [a, b] = [index(i, j), index(i, j + 1)];
+                let [c, d] = [index(i + 1, j), index(i + 1, j + 1)];
+                [[a, b, c], [c, b, d]]
+            })
+            .collect(),
     }
 }
 
@@ -95,7 +138,7 @@ fn mesh() -> TriMesh {
 fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
     let (rays, calibration) = (RayGrid::new(distorted_camera()), calibration());
     let optics = optics(&rays, &calibration);
-    let scene = mesh();
+    let scene = mesh(2);
     let context = ViewContext {
         scene: &scene,
         centre: Point3::new(0.0, 0.0, EDGE_M),
@@ -105,7 +148,12 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
         flat: &optics.flat_image(),
         patches: &optics.patch_grid(),
     };
-    let mut view = View::new(&snapshot(&optics), &context);
+    let corner = Corner {
+        optics: &optics,
+        camera_from_world: Pose::identity(),
+        albedo: REFLECTED,
+    };
+    let mut view = View::new(&corner.snapshot(), &context);
     let error = |view: &View, x: f64| {
         let (point, normal) = at(x, 0.01);
         let mut seen = None;
@@ -130,4 +178,56 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
             "{x} m from the edge: {with} of the light is wrong, {alone} without"
         );
     }
+}
+
+#[test]
+fn a_dark_corner_is_not_taken_for_one_of_plaster() {
+    let (rays, calibration) = (RayGrid::new(distorted_camera()), calibration());
+    let scene = mesh(80);
+    let centre = Vector3::new(0.0, 0.0, EDGE_M);
+    let poses: Vec<Pose> = (0..8)
+        .map(|k| {
+            let (turn, back_m) = (f64::from(k) * PI / 4.0, 0.02 * f64::from(k % 3));
+            let tilt = 0.3 * Vector3::new(turn.cos(), turn.sin(), 0.0);
+            let by = Vector6::new(tilt.x, tilt.y, tilt.z, 0.0, 0.0, back_m);
+            increment_about(&centre, &by)
+        })
+        .collect();
+    // Plaster reflects twice as much as this.
+    let whites = |white_level: Option<f64>| {
+        let mut calibration = calibration.clone();
+        calibration.light.white_level = white_level;
+        let optics = optics(&rays, &calibration);
+        let images = poses.iter().map(|&camera_from_world| {
+            let corner = Corner {
+                optics: &optics,
+                camera_from_world,
+                albedo: 0.3,
+            };
+            corner.snapshot()
+        });
+        let snapshots: Vec<ShadingSnapshot> = images.collect();
+        let subject = Subject {
+            scene: &scene,
+            object: &scene,
+            snapshots: &snapshots,
+            optics: &optics,
+        };
+        let params = RefineParams {
+            edge_length_m: 0.003,
+            ..RefineParams::default()
+        };
+        let all = first_views(snapshots.len());
+        let prepared = Preparation::new(&subject, &params, all).expect("a surface");
+        let (state, _) = prepared.base(&subject, all).expect("visible");
+        let view = &state.views[0];
+        let plausible = view.plausible_white.expect("bright patches");
+        (plausible, view.white.expect("interreflection"))
+    };
+    let (WhiteLevel(plausible), WhiteLevel(found)) = whites(None);
+    let off = |white: f64| (white / WHITE.0).ln().abs();
+    assert!(off(plausible) > 0.5, "{plausible}");
+    assert!(off(found) < 0.5 * off(plausible), "{found} for {plausible}");
+    let (_, measured) = whites(Some(WHITE.0));
+    assert_eq!(measured, WHITE);
 }

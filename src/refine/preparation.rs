@@ -112,8 +112,10 @@ impl Preparation {
         let told = trial.ask(&views);
         let (told, mut views) = trial.judge(told, &levels[0], views);
         if optics.white_level().is_none() {
-            for white in views.iter_mut().filter_map(|view| view.white.as_mut()) {
-                white.0 /= told.log_indirect.exp();
+            for view in &mut views {
+                let strength = view.white.map(WhiteLevel::strength);
+                let found = strength.map(|strength| told.log_indirect.exp() * strength);
+                view.white = found.and_then(WhiteLevel::of_strength);
             }
         }
         let mesh = &levels[0].mesh;

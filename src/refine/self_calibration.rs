@@ -204,6 +204,7 @@ pub fn told_by_images(
         }),
         gloss,
         indirect_share: if is_explained { *indirect_share } else { 0.0 },
+        // Also where response and light stay as believed: held, they leave to it what they would explain, 0.1° on `relief-k2`.
         log_indirect: if is_explained {
             found.log_indirect
         } else {

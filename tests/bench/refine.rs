@@ -117,7 +117,7 @@ fn steps(
     subject: &Subject,
     criterion: &mut Criterion<ProcessorTime>,
 ) -> anyhow::Result<()> {
-    let params = RefineParams::default();
+    let params = RefineParams::default().for_object(subject.object, subject.footprint_m());
     let stages = Stages::after_rounds(subject, &params, 1)?;
     let at_facets = |jacobian| {
         let params = RefineParams {

@@ -71,14 +71,16 @@ fn main() -> anyhow::Result<()> {
     let (scan, out) = (Scan::read(Path::new(&args[0]))?, Path::new(&args[1]));
     fs::create_dir_all(out)?;
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    one_thread.install(|| {
+    let edge_length_m = one_thread.install(|| {
         scan.with_subject(|subject| {
+            let params = params.for_object(subject.object, subject.footprint_m());
             let stages = Stages::after_rounds(subject, &params, params.n_rounds)?;
             write_step(&stages, &out.join("step.json"))?;
-            write_views(&scan, subject, &stages, out)
+            write_views(&scan, subject, &stages, out)?;
+            Ok(params.edge_length_m)
         })
     })?;
-    let base = remesh(&scan.object, &RemeshParams::new(params.edge_length_m));
+    let base = remesh(&scan.object, &RemeshParams::new(edge_length_m));
     Ok(write_ply(
         &out.join("base.ply"),
         &base,
