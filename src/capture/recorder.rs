@@ -142,7 +142,8 @@ impl Recorder {
         self.events.refusal()
     }
 
-    /// Whether something was lost because it could not be written.
+    /// Whether the recording of frames ended by a failure, not by the room that is to stay free, or an event could not be put into
+    /// words. Events that wait for the disk are [`Recorder::events_refusal`]; those that never found room, the summary's failures.
     pub fn has_failed(&self) -> bool {
         self.has_failed
     }

@@ -11,7 +11,7 @@ use std::{
 };
 
 /// The file.
-const NAME: &str = "scan.json";
+pub const NAME: &str = "scan.json";
 
 /// What the daemon knows of a scan.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]

@@ -6,12 +6,14 @@ use super::{
     events::{Events, Topic},
     interim,
     refined_error::RefinedError,
-    scan_record::ScanRecord,
+    scan_record::{self, ScanRecord},
     settings::Settings,
 };
 use crate::{
+    atomic_file::is_passing,
     config::ConfigError,
-    jobs::{JobError, WorkerHandle},
+    export::ExportError,
+    jobs::{Job, JobError, WorkerHandle},
     lock::lock,
     pipeline::{
         Command, CommandRefused, FrameAccounts, Handle, Outcome, OutputFolder, OutputFolderError,
@@ -20,8 +22,9 @@ use crate::{
 };
 use serde_json::json;
 use std::{
+    cell::RefCell,
     fs, io,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{
         Arc, Mutex, MutexGuard,
         atomic::{AtomicBool, Ordering},
@@ -242,7 +245,7 @@ impl Supervisor {
     ///
     /// # Errors
     /// If the scan cannot be refined, or the system refuses.
-    pub async fn submit(self: &Arc<Self>, folder: PathBuf) -> Result<crate::jobs::Job, JobError> {
+    pub async fn submit(self: &Arc<Self>, folder: PathBuf) -> Result<Job, JobError> {
         let worker = self.worker.clone();
         let submitted = task::spawn_blocking(move || worker.submit(&folder)).await;
         submitted.unwrap_or(Err(JobError::Stopping))
@@ -329,18 +332,63 @@ impl Supervisor {
         tracing::info!(session_id = %id, "scan ended");
         let folder = self.data.session(id);
         let record = scan.record.clone().ended(failures);
-        if let Err(error) = record.write(&folder) {
-            tracing::error!(session_id = %id, %error, "the scan's record cannot be written");
+        if !joined.is_ok_and(has_mesh) {
+            scan.wants_refinement.store(false, Ordering::Relaxed);
         }
-        if scan.wants_refinement.load(Ordering::Relaxed) && joined.is_ok_and(has_mesh) {
-            interim::cancel_waiting(&self, id);
-            match self.submit(folder).await {
-                Ok(job) => tracing::info!(session_id = %id, job = %job.id, "refinement asked for"),
-                Err(error) => tracing::warn!(session_id = %id, %error, "no refinement"),
-            }
+        let (supervisor, ended) = (self.clone(), record.clone());
+        let of_scan = scan.clone();
+        let concluded =
+            task::spawn_blocking(move || supervisor.conclude(&of_scan, &ended, &folder));
+        if let Err(error) = concluded.await {
+            tracing::error!(session_id = %id, %error, "the scan's end failed by a fault of the program");
         }
         self.account(&scan, &record);
         self.occupy(Slot::Idle);
+    }
+
+    /// Writes down how a scan ended, and asks for its refinement; waits for the disk, as its files did.
+    fn conclude(&self, scan: &Scan, record: &ScanRecord, folder: &Path) {
+        let id = &record.id;
+        let path = folder.join(scan_record::NAME);
+        let written = scan.watch.write_patiently(scan_record::NAME, || {
+            let refused = |cause| ExportError::Write {
+                path: path.clone(),
+                cause,
+            };
+            record.write(folder).map_err(refused)
+        });
+        if let Err(error) = written {
+            tracing::error!(session_id = %id, %error, "the scan's record cannot be written");
+        }
+        if scan.wants_refinement.load(Ordering::Relaxed) {
+            interim::cancel_waiting(self, id);
+            match self.submit_patiently(scan, folder) {
+                Ok(job) => tracing::info!(session_id = %id, job = %job.id, "refinement asked for"),
+                Err(error) => tracing::warn!(session_id = %id, error, "no refinement"),
+            }
+        }
+    }
+
+    /// Gives an ended scan to the refinement worker as soon as the disk has room for the job, or says why not.
+    fn submit_patiently(&self, scan: &Scan, folder: &Path) -> Result<Job, String> {
+        let submitted = RefCell::new(None);
+        let waited = scan.watch.write_patiently("refinement", || {
+            let wants = scan.wants_refinement.load(Ordering::Relaxed);
+            match wants.then(|| self.worker.submit(folder)) {
+                Some(Err(JobError::Io { path, source })) if is_passing(&source) => {
+                    return Err(ExportError::Write {
+                        path,
+                        cause: source,
+                    });
+                }
+                ended => drop(submitted.replace(ended)),
+            }
+            Ok(())
+        });
+        waited.map_err(|error| error.to_string())?;
+        let submitted = submitted.into_inner();
+        let submitted = submitted.ok_or_else(|| "the scan was abandoned".to_owned())?;
+        submitted.map_err(|error| error.to_string())
     }
 
     fn account(&self, scan: &Scan, record: &ScanRecord) {

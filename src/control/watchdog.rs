@@ -115,12 +115,17 @@ mod tests {
             unwritten: [("base.ply".to_owned(), "full".to_owned())].into(),
             ..Status::default()
         };
+        let unheard = Status {
+            unwritten: [("events.jsonl".to_owned(), "full".to_owned())].into(),
+            ..waiting.clone()
+        };
         let exporting = Progress {
             phase: Phase::Exporting,
             ..progress(5, 5)
         };
         assert!(has_not_moved(&exporting, &exporting, &gone));
         assert!(!has_not_moved(&exporting, &exporting, &waiting));
+        assert!(has_not_moved(&exporting, &exporting, &unheard));
         let at = |phase, work: Work, n_done| Progress {
             phase,
             improvement: Some(work.at(n_done, 100)),

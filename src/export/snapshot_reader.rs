@@ -31,29 +31,40 @@ pub struct StoredSnapshot {
     pub meta: serde_json::Value,
 }
 
-/// Reads `dir/snapshots/000`, `001`, …, whichever are there, by number; empty without any. The last may not be whole, where the
-/// program that wrote it was ended: it is left out then.
+/// The shading images of a folder.
+#[derive(Clone, Debug, Default)]
+pub struct StoredSnapshots {
+    /// Those that are whole, by number.
+    pub whole: Vec<StoredSnapshot>,
+    /// The folders of those that are not, by number.
+    pub unfinished: Vec<PathBuf>,
+}
+
+/// Reads `dir/snapshots/000`, `001`, …, whichever are there; none without any. Those that were being written when the program
+/// was ended, which may be several, hold no `meta.json`, and are left out.
 ///
 /// # Errors
-/// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be, and for another
-/// folder that is not whole.
-pub fn read_snapshots(dir: &Path) -> Result<Vec<StoredSnapshot>, ExportError> {
-    let mut folders = begun_snapshots(&dir.join("snapshots"))?;
-    if let Some(folder) = folders.pop_if(|last| !is_whole(last)) {
-        tracing::warn!(folder = %folder.display(), "the last shading image is not whole, and is left out");
-    }
-    if let Some(folder) = folders.iter().find(|folder| !is_whole(folder)) {
+/// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be, and for an
+/// unfinished folder if there is no other.
+pub fn read_snapshots(dir: &Path) -> Result<StoredSnapshots, ExportError> {
+    let folders = begun_snapshots(&dir.join("snapshots"))?;
+    let (whole, unfinished): (Vec<_>, Vec<_>) =
+        folders.into_iter().partition(|folder| is_whole(folder));
+    if let ([], [first, ..]) = (whole.as_slice(), unfinished.as_slice()) {
         return Err(ExportError::malformed(
-            folder,
-            "it holds no meta.json".into(),
+            first,
+            "it holds no meta.json, nor does another".into(),
         ));
     }
-    let read: Vec<Result<_, _>> = folders
+    let read: Vec<Result<_, _>> = whole
         .par_iter()
         .with_max_len(1)
         .map(|folder| read_snapshot(folder))
         .collect();
-    read.into_iter().collect()
+    Ok(StoredSnapshots {
+        whole: read.into_iter().collect::<Result<_, _>>()?,
+        unfinished,
+    })
 }
 
 /// The folders of snapshots by number, those of which anything is there.
@@ -159,7 +170,7 @@ mod tests {
             device_time_secs: 1.5,
         };
         write_snapshots(folder.path(), &[record.clone(), record]).unwrap();
-        let back = read_snapshots(folder.path()).unwrap();
+        let back = read_snapshots(folder.path()).unwrap().whole;
         assert_eq!(back.len(), 2);
         assert_eq!(back[1].ir, ir);
         assert_eq!(back[1].unlit.as_ref(), Some(&unlit));
@@ -171,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn every_snapshot_is_read_and_one_that_is_not_whole_is_named() {
+    fn every_whole_snapshot_is_read_and_those_that_are_not_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let (ir, mask) = (Image::filled(4, 3, 7u16), Image::filled(4, 3, 255u8));
         let depth_m = Image::filled(4, 3, 0.7f32);
@@ -188,22 +199,27 @@ mod tests {
         write_snapshots(folder.path(), &records).unwrap();
         let root = folder.path().join("snapshots");
         let frames = || {
-            read_snapshots(folder.path()).map(|read| {
-                let ids = read
-                    .iter()
-                    .map(|snapshot| snapshot.meta["frame_id"].as_u64());
-                ids.flatten().collect::<Vec<_>>()
-            })
+            let read = read_snapshots(folder.path()).unwrap();
+            let ids = read.whole.iter();
+            let ids = ids.filter_map(|snapshot| snapshot.meta["frame_id"].as_u64());
+            (ids.collect::<Vec<_>>(), read.unfinished)
         };
         fs::remove_dir_all(root.join("001")).unwrap();
         fs::create_dir(root.join("005")).unwrap();
-        assert_eq!(frames().unwrap(), [0, 2, 3, 4]);
-        fs::remove_file(root.join("004/meta.json")).unwrap();
-        assert_eq!(frames().unwrap(), [0, 2, 3]);
-        fs::remove_file(root.join("002/meta.json")).unwrap();
-        let error = frames().unwrap_err().to_string();
+        assert_eq!(frames(), (vec![0, 2, 3, 4], Vec::new()));
+        for name in ["002", "004"] {
+            fs::remove_file(root.join(name).join("meta.json")).unwrap();
+        }
+        assert_eq!(
+            frames(),
+            (vec![0, 3], vec![root.join("002"), root.join("004")])
+        );
+        for name in ["000", "003"] {
+            fs::remove_file(root.join(name).join("meta.json")).unwrap();
+        }
+        let error = read_snapshots(folder.path()).unwrap_err().to_string();
         assert!(
-            error.contains("002 is malformed: it holds no meta.json"),
+            error.contains("000 is malformed: it holds no meta.json"),
             "{error}"
         );
     }
@@ -213,7 +229,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let spoilt = folder.path().join("snapshots/000");
         fs::create_dir_all(&spoilt).unwrap();
-        assert!(read_snapshots(folder.path()).unwrap().is_empty());
+        let none = read_snapshots(folder.path()).unwrap();
+        assert!(none.whole.is_empty() && none.unfinished.is_empty());
         fs::write(spoilt.join("meta.json"), "{}").unwrap();
         fs::write(spoilt.join("ir.png"), "no image").unwrap();
         let error = read_snapshots(folder.path()).unwrap_err().to_string();

@@ -12,7 +12,8 @@ use rayon::prelude::*;
 use std::{
     fs,
     io::{self, Write},
-    path::Path,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, Ordering},
 };
 
 /// One shading image as it is written.
@@ -51,22 +52,53 @@ pub(super) const DEPTH_UNITS_PER_METRE: f32 = 5000.0;
 /// [`ExportError::Unfit`] if a mask differs in size from its image or a pose is not finite, before anything is written;
 /// [`ExportError::Write`] if a file cannot be written.
 pub fn write_snapshots(dir: &Path, records: &[SnapshotRecord]) -> Result<(), ExportError> {
-    let root = dir.join("snapshots");
-    for (index, record) in records.iter().enumerate() {
-        check(record).map_err(|what| ExportError::unfit(&root.join(folder_name(index)), what))?;
-    }
-    fs::create_dir_all(&root).map_err(|cause| ExportError::write(&root, cause))?;
-    let folders = records.par_iter().with_max_len(1).enumerate();
-    folders
-        .try_for_each(|(index, record)| write_snapshot(&root.join(folder_name(index)), record))?;
-    for index in records.len().. {
-        let stale = root.join(folder_name(index));
-        if !stale.is_dir() {
-            break;
+    SnapshotExport::new(dir, records).write()
+}
+
+/// [`write_snapshots`] where the disk may refuse and is asked again: what one attempt wrote whole, the next leaves alone.
+#[derive(Debug)]
+pub struct SnapshotExport<'a> {
+    root: PathBuf,
+    records: &'a [SnapshotRecord<'a>],
+    /// Of each record.
+    is_written: Vec<AtomicBool>,
+}
+
+impl<'a> SnapshotExport<'a> {
+    /// Of records into `dir/snapshots`; writes nothing yet.
+    pub fn new(dir: &Path, records: &'a [SnapshotRecord<'a>]) -> Self {
+        SnapshotExport {
+            root: dir.join("snapshots"),
+            records,
+            is_written: records.iter().map(|_| AtomicBool::new(false)).collect(),
         }
-        remove_snapshot(&stale).map_err(|cause| ExportError::write(&stale, cause))?;
     }
-    Ok(())
+
+    /// Writes what is not written yet.
+    ///
+    /// # Errors
+    /// As [`write_snapshots`].
+    pub fn write(&self) -> Result<(), ExportError> {
+        let (root, records) = (&self.root, self.records);
+        for (index, record) in records.iter().enumerate() {
+            let unfit = |what| ExportError::unfit(&root.join(folder_name(index)), what);
+            check(record).map_err(unfit)?;
+        }
+        fs::create_dir_all(root).map_err(|cause| ExportError::write(root, cause))?;
+        let folders = records.par_iter().zip(&self.is_written).with_max_len(1);
+        let folders = folders.enumerate();
+        folders.try_for_each(|(index, (record, is_written))| {
+            write_once(&root.join(folder_name(index)), record, is_written)
+        })?;
+        for index in records.len().. {
+            let stale = root.join(folder_name(index));
+            if !stale.is_dir() {
+                break;
+            }
+            remove_snapshot(&stale).map_err(|cause| ExportError::write(&stale, cause))?;
+        }
+        Ok(())
+    }
 }
 
 /// Writes other masks to the snapshots that [`write_snapshots`] wrote to `dir`, the first mask to the first snapshot.
@@ -109,6 +141,19 @@ fn check(record: &SnapshotRecord) -> Result<(), String> {
         ));
     }
     check_pose(record.device_time_secs, &record.world_from_camera)
+}
+
+/// Writes a snapshot that is not written yet.
+fn write_once(
+    folder: &Path,
+    record: &SnapshotRecord,
+    is_written: &AtomicBool,
+) -> Result<(), ExportError> {
+    if !is_written.load(Ordering::Relaxed) {
+        write_snapshot(folder, record)?;
+        is_written.store(true, Ordering::Relaxed);
+    }
+    Ok(())
 }
 
 fn write_snapshot(folder: &Path, record: &SnapshotRecord) -> Result<(), ExportError> {
@@ -204,6 +249,33 @@ mod tests {
         assert_eq!(meta["frame_id"], json!(7));
         let poses = read_trajectory(&root.join("000/pose.txt")).unwrap();
         assert!((poses[0].0 - 7.0).abs() < 1e-6 && (poses[0].1.translation.x - 0.7).abs() < 1e-9);
+    }
+
+    #[test]
+    fn another_attempt_leaves_alone_what_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (ir, mask) = (Image::filled(4, 3, 7u16), Image::filled(4, 3, 255u8));
+        let depth_m = Image::filled(4, 3, 0.7f32);
+        let records = [record(&ir, &mask, &depth_m), record(&ir, &mask, &depth_m)];
+        let export = SnapshotExport::new(folder.path(), &records);
+        let root = folder.path().join("snapshots");
+        fs::create_dir(&root).unwrap();
+        // Where its folder belongs a file stands.
+        fs::write(root.join("001"), "").unwrap();
+        assert!(export.write().is_err());
+        fs::remove_file(root.join("001")).unwrap();
+        export.write().unwrap();
+        for name in ["000", "001"] {
+            assert!(root.join(name).join("meta.json").is_file());
+            fs::write(root.join(name).join("ir.png"), "as it was").unwrap();
+        }
+        export.write().unwrap();
+        for name in ["000", "001"] {
+            assert_eq!(
+                fs::read(root.join(name).join("ir.png")).unwrap(),
+                b"as it was"
+            );
+        }
     }
 
     #[test]

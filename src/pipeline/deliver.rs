@@ -6,8 +6,8 @@ use super::{
 use crate::{
     capture::RecorderSummary,
     export::{
-        ExportError, Report, ReportPictures, SnapshotRecord, VertexAttributes, write_atomically,
-        write_glb, write_masks, write_ply, write_report_html, write_report_json, write_snapshots,
+        ExportError, Report, ReportPictures, SnapshotExport, SnapshotRecord, VertexAttributes,
+        write_atomically, write_glb, write_masks, write_ply, write_report_html, write_report_json,
         write_trajectory,
     },
     geometry::{Pose, TriMesh},
@@ -157,7 +157,8 @@ impl Outbox {
                 device_time_secs: snapshot.device_time_secs,
             })
             .collect();
-        self.write(SNAPSHOTS, |_| write_snapshots(&self.folder, &records));
+        let export = SnapshotExport::new(&self.folder, &records);
+        self.write(SNAPSHOTS, |_| export.write());
     }
 
     /// Writes which pixels of the shading images refinement could use, in place of the masks of [`Outbox::snapshots`].

@@ -8,6 +8,7 @@ use super::{
     fusion_stage::{FusedScan, FusionSummary},
     live::Live,
     output_folder::OutputFolder,
+    patience::Patience,
     pictures,
     refine_stage::RefineSummary,
     report::{self, Endings, Subject},
@@ -15,7 +16,7 @@ use super::{
 };
 use crate::{
     capture::{CaptureEnd, CaptureSummary, RecorderSummary},
-    export::{Report, ReportPictures},
+    export::{ExportError, Report, ReportPictures},
 };
 use std::{any::Any, sync::Arc, thread::JoinHandle};
 
@@ -86,6 +87,19 @@ impl Watch {
             _ => {}
         }
         Ok(())
+    }
+
+    /// Writes what belongs to the scan beside what the pipeline writes: where the disk is full the status tells of it, and it is tried
+    /// again until there is room or somebody stops the pipeline. Blocks meanwhile.
+    ///
+    /// # Errors
+    /// As `attempt`, if waiting helps nothing or somebody has stopped the pipeline.
+    pub fn write_patiently(
+        &self,
+        name: &str,
+        attempt: impl Fn() -> Result<(), ExportError>,
+    ) -> Result<(), ExportError> {
+        Patience::new(&self.status, &self.stop).write(name, attempt)
     }
 
     /// Ends capture and refinement; what was fused is still exported and reported, but not improved.

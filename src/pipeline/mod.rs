@@ -242,10 +242,11 @@ impl Pipeline {
     /// If the system gives no threads.
     pub fn spawn_refinement(
         recorded: RecordedScan,
-        params: PipelineParams,
+        mut params: PipelineParams,
         folder: OutputFolder,
     ) -> Result<Handle, SpawnError> {
         let RecordedScan { info, scan } = recorded;
+        params.warnings.extend_from_slice(&scan.warnings);
         let watch = watch(&info);
         // Frames that were fused before this run are told of as its own.
         let n_fused = scan.world_from_cameras.len() as u64;

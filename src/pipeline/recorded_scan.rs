@@ -6,7 +6,9 @@ use super::{
     snapshot_meta::SnapshotMeta,
 };
 use crate::{
-    export::{ExportError, StoredSnapshot, read_ply, read_snapshots, read_trajectory},
+    export::{
+        ExportError, StoredSnapshot, StoredSnapshots, read_ply, read_snapshots, read_trajectory,
+    },
     geometry::{CameraModel, RayGrid, TriMesh},
     refine::{Optics, surface_of_view},
     shading::Calibration,
@@ -72,11 +74,15 @@ impl RecordedScan {
             return Err(RecordedScanError::NoFolder(folder.to_owned()));
         }
         let (meshes, stored) = rayon::join(|| read_meshes(folder), || read_snapshots(folder));
-        let ((base, delivered), stored) = (meshes?, stored?);
+        let ((base, delivered), StoredSnapshots { whole, unfinished }) = (meshes?, stored?);
+        let warnings: Vec<String> = left_out(&unfinished).into_iter().collect();
+        for warning in &warnings {
+            tracing::warn!("{warning}");
+        }
         let trajectory = read_trajectory(&folder.join(TRAJECTORY))?;
         let mut info = None;
-        let mut accepted = Vec::with_capacity(stored.len());
-        for snapshot in stored {
+        let mut accepted = Vec::with_capacity(whole.len());
+        for snapshot in whole {
             let path = snapshot.folder.join("meta.json");
             let in_meta = |reason: String| RecordedScanError::Meta {
                 path: path.clone(),
@@ -105,9 +111,24 @@ impl RecordedScan {
                 }),
                 last_depth: None,
                 delivered,
+                warnings,
             },
         })
     }
+}
+
+/// The warning about shading images that are not whole, if there are any.
+fn left_out(unfinished: &[PathBuf]) -> Option<String> {
+    let names = unfinished
+        .iter()
+        .filter_map(|folder| folder.file_name()?.to_str());
+    let names: Vec<&str> = names.collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "shading images that were not written to their end are left out: snapshots/{}",
+            names.join(", ")
+        )
+    })
 }
 
 /// What was fused, and the part of it that was delivered, if that is not all.
@@ -144,6 +165,7 @@ impl RecordedScan {
         calibration: &Calibration,
     ) -> Result<RecordedScan, RecordedScanError> {
         let RecordedScan { info, scan } = self;
+        let warnings = scan.warnings;
         let accepted = scan.snapshots.map(|snapshots| snapshots.accepted);
         let accepted = accepted.unwrap_or_default();
         let known = accepted.iter().map(|snapshot| snapshot.frame_id).collect();
@@ -163,6 +185,7 @@ impl RecordedScan {
                 }),
                 last_depth: None,
                 delivered: None,
+                warnings,
             },
             info,
         })

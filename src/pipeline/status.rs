@@ -5,7 +5,7 @@ use super::{
     state::{Fault, State},
 };
 use crate::{
-    capture::DeviceHealth,
+    capture::{DeviceHealth, EVENTS_FILE},
     fusion::Improvement,
     snapshot::{Guidance, SequenceStep},
 };
@@ -54,7 +54,7 @@ pub struct Status {
     pub n_announced: Option<usize>,
     /// What became of the frames so far.
     pub frames: FrameAccounts,
-    /// Frames that are in the model now; those taken back are not.
+    /// Frames that were fused and not taken back.
     pub n_in_model: usize,
     /// Frames that fusion has handled a second, over the last second or so, paused ones too.
     pub fps: f64,
@@ -103,9 +103,11 @@ impl Status {
         }
     }
 
-    /// Whether capture has ended and what it left waits for room on the disk.
+    /// Whether capture has ended and a file that it left waits for room on the disk, and all behind it with it. Events that wait hold
+    /// nothing up.
     pub fn waits_for_room(&self) -> bool {
-        self.phase != Phase::Capturing && !self.unwritten.is_empty()
+        let mut files = self.unwritten.keys();
+        self.phase != Phase::Capturing && files.any(|name| name != EVENTS_FILE)
     }
 }
 

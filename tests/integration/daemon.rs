@@ -143,7 +143,9 @@ fn a_disk_that_is_full_when_a_scan_ends_is_waited_for() {
     let id = daemon.scan();
     let scan = daemon.bench.path("data/sessions").join(&id);
     // The first write finds no room; its end takes the link away.
-    symlink("/dev/full", scan.join(".base.ply.partial")).unwrap();
+    for name in [".base.ply.partial", ".scan.json.partial"] {
+        symlink("/dev/full", scan.join(name)).unwrap();
+    }
     assert_eq!(client.post("/api/v1/scan/finish", "").status, 202);
     let status = daemon.await_status("the refusal", |status| {
         status["storage_error"].is_string() && status["reason"] == "storage_failed"
@@ -156,6 +158,17 @@ fn a_disk_that_is_full_when_a_scan_ends_is_waited_for() {
     let session = client.get(&format!("/api/v1/sessions/{id}")).json();
     assert_eq!(session["state"], "complete", "{session}");
     assert!(scan.join("base.ply").is_file());
+}
+
+#[test]
+fn no_scan_starts_without_room() {
+    let daemon = Daemon::start_wanting(1_000_000);
+    let client = daemon.client;
+    client.get("/readyz").assert_problem(503, "storage_failed");
+    client
+        .post("/api/v1/scan", "{}")
+        .assert_problem(503, "storage_failed");
+    assert_eq!(client.status()["state"], "idle");
 }
 
 /// Cancels what is asked for of a scan, and removes it.

@@ -11,6 +11,9 @@ use std::{
     process::{Child, Command, ExitStatus, Stdio},
 };
 
+/// How much room a scan wants, MB.
+const MIN_FREE_DISK_MB: &str = "RELIEF_CAPTURE__MIN_FREE_DISK_MB";
+
 /// A running daemon; killed when dropped.
 pub struct Daemon {
     pub bench: Workbench,
@@ -28,10 +31,20 @@ impl Daemon {
 
     /// Starts a daemon over the recording of a bench.
     pub fn start_in(bench: Workbench, arguments: &[&str]) -> Self {
-        let mut child = command(&bench, arguments)
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
+        let command = command(&bench, arguments);
+        Self::spawn(bench, command)
+    }
+
+    /// Starts a daemon whose scans want so much room on the disk, MB.
+    pub fn start_wanting(min_free_disk_mb: u32) -> Self {
+        let bench = Workbench::with_frames(1);
+        let mut command = command(&bench, &[]);
+        command.env(MIN_FREE_DISK_MB, min_free_disk_mb.to_string());
+        Self::spawn(bench, command)
+    }
+
+    fn spawn(bench: Workbench, mut command: Command) -> Self {
+        let mut child = command.stderr(Stdio::null()).spawn().unwrap();
         let lock = bench.path("data/daemon.lock");
         let client = poll("the daemon's address", || {
             assert_eq!(child.try_wait().unwrap(), None, "the daemon ended");
@@ -100,6 +113,8 @@ fn command(bench: &Workbench, arguments: &[&str]) -> Command {
         .arg("--data")
         .arg(bench.path("data"))
         .args(arguments)
+        // However full the disk is on which the tests run.
+        .env(MIN_FREE_DISK_MB, "0")
         .stdout(Stdio::null());
     if !arguments.contains(&"--listen") {
         command.args(["--listen", "127.0.0.1:0"]);

@@ -39,6 +39,18 @@ fn base_mesh(session: &Path, out: &Path) -> Vec<u8> {
 }
 
 #[test]
+fn a_session_without_a_whole_frame_leaves_nothing() {
+    let bench = Workbench::with_frames(1);
+    fs::remove_dir_all(bench.session().join("depth")).unwrap();
+    let out = bench.path("again");
+    for command in ["import", "export"] {
+        let output = session(&[command, text(&bench.session()), "--out", text(&out)]);
+        assert_says(&output, 1, &["no frame is whole"]);
+        assert!(!out.exists());
+    }
+}
+
+#[test]
 fn the_demo_as_a_recording_gives_the_same_mesh_to_the_byte() {
     let root = tempfile::tempdir().unwrap();
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");

@@ -5,7 +5,6 @@
 //! 2047, 2047 for none, IR 640×488 or 1280×1024 with values 0 to 1023.
 
 use std::{
-    fs,
     io::Write,
     path::{Path, PathBuf},
     time::{Duration, Instant},
@@ -116,7 +115,7 @@ impl RawDisparityCamera {
     /// [`CameraError::Invalid`] naming file, key or line, value and bound.
     pub fn open(folder: &Path) -> Result<Self, CameraError> {
         let path = folder.join(RAW_DEVICE_FILE);
-        let text = fs::read_to_string(&path).map_err(|error| invalid(&path, error))?;
+        let text = replay::read_ordinary_text(&path).map_err(|error| invalid(&path, error))?;
         let device: DeviceFile =
             toml::from_str(&text).map_err(|error| invalid(&path, error.to_string().trim_end()))?;
         let device = device.device();

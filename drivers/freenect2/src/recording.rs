@@ -5,7 +5,6 @@
 //! `packets/000000.k2` and so on are the packets themselves, 2 984 960 bytes each: 90 MB a second.
 
 use std::{
-    fs,
     io::Write,
     path::{Path, PathBuf},
     time::{Duration, Instant},
@@ -64,8 +63,8 @@ impl DeviceRecord {
     /// Reads the device's part of a recording.
     fn read(folder: &Path) -> Result<Self, CameraError> {
         let device_path = folder.join(RAW_DEVICE_FILE);
-        let text =
-            fs::read_to_string(&device_path).map_err(|error| invalid(&device_path, error))?;
+        let text = replay::read_ordinary_text(&device_path)
+            .map_err(|error| invalid(&device_path, error))?;
         let device: DeviceFile = toml::from_str(&text)
             .map_err(|error| invalid(&device_path, error.to_string().trim_end()))?;
         device
@@ -73,7 +72,8 @@ impl DeviceRecord {
             .validate()
             .map_err(|error| invalid(&device_path, error))?;
         let tables_path = folder.join(TABLES_FILE);
-        let p0_response = fs::read(&tables_path).map_err(|error| invalid(&tables_path, error))?;
+        let p0_response = replay::read_ordinary_file(&tables_path)
+            .map_err(|error| invalid(&tables_path, error))?;
         Ok(DeviceRecord {
             serial: device.serial,
             firmware: device.firmware,

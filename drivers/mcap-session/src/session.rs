@@ -159,7 +159,7 @@ impl SessionRecord {
                 format!("{n_bytes} bytes, must be at most {MAX_BYTES}"),
             ));
         }
-        let text = fs::read_to_string(&path).map_err(io_error(&path))?;
+        let text = replay::read_ordinary_text(&path).map_err(io_error(&path))?;
         let record: SessionRecord =
             serde_json::from_str(&text).map_err(|error| RecordingError::invalid(&path, error))?;
         if record.format != FORMAT {

@@ -57,7 +57,10 @@ pub fn read_ordinary_file(path: &Path) -> io::Result<Vec<u8>> {
 }
 
 /// As [`read_ordinary_file`], a text.
-pub(crate) fn read_ordinary_text(path: &Path) -> io::Result<String> {
+///
+/// # Errors
+/// As [`read_ordinary_file`], and for bytes that are no UTF-8.
+pub fn read_ordinary_text(path: &Path) -> io::Result<String> {
     String::from_utf8(read_ordinary_file(path)?).map_err(io::Error::other)
 }
 

@@ -29,7 +29,8 @@ pub use camera::ReplayCamera;
 pub use content::{content_hash, hash_of_files};
 pub use depth_scale::DepthScale;
 pub use files::{
-    ListFile, WriteError, create_empty_folder, create_folder, read_ordinary_file, write_whole_file,
+    ListFile, WriteError, create_empty_folder, create_folder, read_ordinary_file,
+    read_ordinary_text, write_whole_file,
 };
 pub use frame_check::check_frame;
 pub use lists::{Entry, Moment, SAME_MOMENT_SECS, merge_lists, read_list};

@@ -71,18 +71,23 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
     let measured = measured.context(
         "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared",
     )?;
-    print(&measured)?;
-    if args.file.dry_run {
-        return Ok(Verdict::Done);
-    }
     device.light.white_level = Some(measured.white.0);
-    let measurement = measurement(&measured, &args.session)?;
-    device.measured.insert(key, measurement);
-    let report = merge(&path, &device, &info, args.file.replace)?;
-    if let Some(kept) = &report.kept {
-        writeln!(Stdout, "the file as it was: {}", kept.display())?;
+    let write = || {
+        let measurement = measurement(&measured, &args.session)?;
+        device.measured.insert(key, measurement);
+        merge(&path, &device, &info, args.file.replace)
+    };
+    let written = (!args.file.dry_run).then(write).transpose();
+    // What cannot be printed is written all the same, and what cannot be written is printed.
+    let printed = print(&measured);
+    let written = written?;
+    printed?;
+    if let Some(report) = written {
+        if let Some(kept) = &report.kept {
+            writeln!(Stdout, "the file as it was: {}", kept.display())?;
+        }
+        writeln!(Stdout, "{key} written to {}", path.display())?;
     }
-    writeln!(Stdout, "{key} written to {}", path.display())?;
     Ok(Verdict::Done)
 }
 

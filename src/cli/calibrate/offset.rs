@@ -46,18 +46,23 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
         Sensor::Kinect2 => of_every_frame(camera.as_mut(), full_scale)?,
     };
     let estimate = combine_offsets(&offsets)?;
-    print(&estimate, info.sensor)?;
-    if !is_written {
-        return Ok(Verdict::Done);
-    }
     measured.ir_offset_px = Some(estimate.offset_px);
-    let measurement = measurement(&estimate, &args.session)?;
-    measured.measured.insert(key, measurement);
-    let report = merge(&path, &measured, &info, args.file.replace)?;
-    if let Some(kept) = &report.kept {
-        writeln!(Stdout, "the file as it was: {}", kept.display())?;
+    let write = || {
+        let measurement = measurement(&estimate, &args.session)?;
+        measured.measured.insert(key, measurement);
+        merge(&path, &measured, &info, args.file.replace)
+    };
+    let written = is_written.then(write).transpose();
+    // What cannot be printed is written all the same, and what cannot be written is printed.
+    let printed = print(&estimate, info.sensor);
+    let written = written?;
+    printed?;
+    if let Some(report) = written {
+        if let Some(kept) = &report.kept {
+            writeln!(Stdout, "the file as it was: {}", kept.display())?;
+        }
+        writeln!(Stdout, "{key} written to {}", path.display())?;
     }
-    writeln!(Stdout, "{key} written to {}", path.display())?;
     Ok(Verdict::Done)
 }
 

@@ -105,14 +105,17 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     };
     let priors = priors(aim, args, &device.info, found)?;
     let findings = investigate(aim, scans, &sensor, priors, found)?;
-    print(&findings, args.json)?;
-
     let page = args
         .page
         .clone()
         .unwrap_or_else(|| folder.join(format!("{}.{}.html", device.serial, aim.name())));
-    if !args.file.dry_run {
-        let report = write(&path, &findings, &device, args)?;
+    let written = match args.file.dry_run {
+        true => Ok(None),
+        false => write(&path, &findings, &device, args).map(Some),
+    };
+    // What cannot be printed is written all the same, and what cannot be written is printed.
+    let printed = print(&findings, args.json);
+    if let Some(report) = written? {
         if let Some(kept) = &report.kept {
             tracing::info!(kept = %kept.display(), "the file as it was is kept");
         }
@@ -122,6 +125,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
         write_page(&page, &findings, &device.serial, &sensor)?;
         tracing::info!(page = %page.display(), "page written");
     }
+    printed?;
     Ok(Verdict::Done)
 }
 

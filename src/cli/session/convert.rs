@@ -14,6 +14,13 @@ use replay::{Pacing, SessionWriter};
 use serde_json::json;
 use std::{fs, io::Write, path::Path, time::Duration};
 
+/// The frames of a recording of which one at least is whole: where none is, no folder is begun for them.
+struct Frames {
+    camera: Box<dyn DepthCamera>,
+    first: Option<Frame>,
+    converted: Converted,
+}
+
 /// What became of the frames.
 #[derive(Default)]
 struct Converted {
@@ -23,24 +30,26 @@ struct Converted {
 
 /// `relief session export`.
 pub fn export(args: &ConvertArgs) -> anyhow::Result<Verdict> {
-    let (mut camera, units) = open(&args.session)?;
-    let mut writer = SessionWriter::create(&args.out, camera.info(), units)?;
-    let converted = convert(camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
+    let (camera, units) = open(&args.session)?;
+    let frames = Frames::of(camera, &args.session)?;
+    let mut writer = SessionWriter::create(&args.out, frames.camera.info(), units)?;
+    let converted = frames.hand_on(|frame| Ok(writer.write(frame)?))?;
     writer.finish()?;
     conclude(args, &converted)
 }
 
 /// `relief session import`.
 pub fn import(args: &ConvertArgs) -> anyhow::Result<Verdict> {
-    let (mut camera, units) = open(&args.session)?;
+    let (camera, units) = open(&args.session)?;
+    let frames = Frames::of(camera, &args.session)?;
     let params = RecordingParams {
         depth_units_per_metre: units,
         // Whoever asks for a file gets it, or hears that there is no room.
         min_free_bytes: 0,
         ..RecordingParams::default()
     };
-    let mut writer = SegmentWriter::create(&args.out, camera.info(), params)?;
-    let converted = convert(camera.as_mut(), |frame| Ok(writer.write(frame)?))?;
+    let mut writer = SegmentWriter::create(&args.out, frames.camera.info(), params)?;
+    let converted = frames.hand_on(|frame| Ok(writer.write(frame)?))?;
     writer.finish()?;
     conclude(args, &converted)
 }
@@ -58,39 +67,58 @@ fn open(session: &Path) -> anyhow::Result<(Box<dyn DepthCamera>, f64)> {
     Ok((camera, config.capture.record_depth_units_per_metre))
 }
 
-/// Hands all frames on; damaged ones are told of and counted.
-fn convert(
-    camera: &mut dyn DepthCamera,
-    mut write: impl FnMut(&Frame) -> anyhow::Result<()>,
-) -> anyhow::Result<Converted> {
-    let mut converted = Converted::default();
-    loop {
-        match camera.grab(Duration::ZERO) {
-            Ok(Some(frame)) => {
-                write(&frame)?;
-                converted.n_frames += 1;
+impl Frames {
+    /// Reads up to the first whole frame of a session; one without any is an error.
+    fn of(camera: Box<dyn DepthCamera>, session: &Path) -> anyhow::Result<Self> {
+        let mut frames = Frames {
+            camera,
+            first: None,
+            converted: Converted::default(),
+        };
+        frames.first = frames.next_whole()?;
+        ensure!(
+            frames.first.is_some(),
+            "{}: no frame is whole, {} are damaged",
+            session.display(),
+            frames.converted.n_damaged
+        );
+        Ok(frames)
+    }
+
+    /// Hands all whole frames on.
+    fn hand_on(
+        mut self,
+        mut write: impl FnMut(&Frame) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Converted> {
+        let mut next = self.first.take();
+        while let Some(frame) = next {
+            write(&frame)?;
+            self.converted.n_frames += 1;
+            next = self.next_whole()?;
+        }
+        Ok(self.converted)
+    }
+
+    /// The next whole frame; damaged ones are told of and counted.
+    fn next_whole(&mut self) -> anyhow::Result<Option<Frame>> {
+        loop {
+            match self.camera.grab(Duration::ZERO) {
+                Err(error @ CameraError::DamagedFrame { .. }) => {
+                    tracing::warn!(%error, "frame skipped");
+                    self.converted.n_damaged += 1;
+                }
+                grabbed => return Ok(grabbed?),
             }
-            Ok(None) => return Ok(converted),
-            Err(error @ CameraError::DamagedFrame { .. }) => {
-                tracing::warn!(%error, "frame skipped");
-                converted.n_damaged += 1;
-            }
-            Err(error) => return Err(error.into()),
         }
     }
 }
 
-/// Takes the calibration along, and says what became of the frames; a session without any is an error.
+/// Takes the calibration along, and says what became of the frames.
 fn conclude(args: &ConvertArgs, converted: &Converted) -> anyhow::Result<Verdict> {
     let Converted {
         n_frames,
         n_damaged,
     } = converted;
-    ensure!(
-        *n_frames > 0,
-        "{}: no frame is whole, {n_damaged} are damaged",
-        args.session.display()
-    );
     let calibration = config::session_folder(&args.session).join(Calibration::FILE_NAME);
     if calibration.is_file() {
         copy(&calibration, &args.out.join(Calibration::FILE_NAME))?;

@@ -17,6 +17,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> io::Result<()> {
 /// Writes a file through a partial one.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     interruption::point()?;
+    interruption::room()?;
     write_atomically(path, |file| file.write_all(bytes))
 }
 
@@ -56,6 +57,11 @@ mod interruption {
     pub fn point() -> std::io::Result<()> {
         Ok(())
     }
+
+    /// Where a test may let the disk be full; nothing otherwise.
+    pub fn room() -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Ends the work of the spool before a chosen change of the disk, as the end of the process would.
@@ -65,11 +71,25 @@ pub mod interruption {
 
     thread_local! {
         static LEFT: Cell<Option<u32>> = const { Cell::new(None) };
+        static IS_FULL: Cell<bool> = const { Cell::new(false) };
     }
 
     /// So many changes are still made on this thread, then none; `None` takes that back.
     pub fn after(n_changes: Option<u32>) {
         LEFT.set(n_changes);
+    }
+
+    /// From now on the disk has no room for a file on this thread, or has room again.
+    pub fn fill(is_full: bool) {
+        IS_FULL.set(is_full);
+    }
+
+    /// Whether there is room for a file.
+    pub fn room() -> io::Result<()> {
+        match IS_FULL.get() {
+            true => Err(io::ErrorKind::StorageFull.into()),
+            false => Ok(()),
+        }
     }
 
     /// Whether a change may be made.

@@ -43,7 +43,8 @@ pub struct Spool {
 
 impl Spool {
     /// Takes hold of the spool of a data directory, and takes every job to where it belongs: one that was running when the process
-    /// ended waits again, unless that was too often.
+    /// ended waits again, unless that was too often. Where the disk has no room to write that down, the job stays among the
+    /// running, for the worker to put it back when there is some, and that end is not counted.
     ///
     /// # Errors
     /// If another process works on it, or the system refuses.
@@ -163,14 +164,19 @@ impl Spool {
                 remove_folder(&folder)?;
             }
             let attempt = record.attempt.take();
-            match (&record.ending, attempt) {
-                (Some(ending), None) => self.move_record(place, &record.id, ending.place())?,
-                (Some(ending), Some(_)) => self.settle(place, &record, ending.place())?,
-                (None, Some(_)) => self.note_interruption(record)?,
-                (None, None) => self.move_record(place, &record.id, Place::Waiting)?,
+            let taken = match (&record.ending, attempt) {
+                (Some(ending), None) => self.move_record(place, &record.id, ending.place()),
+                (Some(ending), Some(_)) => self.settle(place, &record, ending.place()),
+                (None, Some(_)) => self.note_interruption(record),
+                (None, None) => self.move_record(place, &record.id, Place::Waiting),
+            };
+            match place {
+                Place::Running => unless_passing(taken)?,
+                Place::Waiting | Place::Done | Place::Failed => taken?,
             }
         }
-        self.supersede().map(drop)
+        // Whoever claims a job does it again.
+        unless_passing(self.supersede().map(drop))
     }
 
     /// Removes partial files, and settings that no job has.
@@ -190,6 +196,17 @@ impl Spool {
             }
         }
         Ok(())
+    }
+}
+
+/// What the disk may do later is told of, and left to the worker.
+fn unless_passing(done: Result<(), JobError>) -> Result<(), JobError> {
+    match done {
+        Err(error) if error.is_passing() => {
+            tracing::warn!("what the last daemon left to refine waits: {error}");
+            Ok(())
+        }
+        done => done,
     }
 }
 

@@ -127,6 +127,30 @@ fn a_job_outlives_many_ends_of_the_daemon_but_not_all() {
 }
 
 #[test]
+fn a_full_disk_costs_neither_the_start_nor_the_job() {
+    let root = tempfile::tempdir().unwrap();
+    let spool = open(root.path());
+    for (digit, scan) in [(1, "a"), (2, "b")] {
+        spool.submit(&request(digit, scan)).unwrap();
+        spool.claim().unwrap().unwrap();
+    }
+    spool.cancel(&id(2)).unwrap();
+    drop(spool);
+    interruption::fill(true);
+    let spool = open(root.path());
+    interruption::fill(false);
+    let expected = [(id(1), JobState::Running), (id(2), JobState::Cancelled)];
+    assert_eq!(states(&spool), BTreeMap::from(expected));
+    // As the worker does when there is room.
+    for record in spool.left_running().unwrap() {
+        spool.put_back(&record.id).unwrap();
+    }
+    let again = spool.claim().unwrap().unwrap();
+    assert_eq!((again.id, again.n_interruptions), (id(1), 0));
+    assert!(spool.left_running().unwrap().len() == 1);
+}
+
+#[test]
 fn a_newer_job_takes_the_place_of_one_that_waits_but_not_of_one_that_runs() {
     let root = tempfile::tempdir().unwrap();
     let spool = open(root.path());

@@ -78,6 +78,7 @@ impl FusionStage {
                 snapshots,
                 last_depth: self.last_depth.take(),
                 delivered: None,
+                warnings: Vec::new(),
             }));
             self.send(Tracked::Trajectory(trajectory));
         }

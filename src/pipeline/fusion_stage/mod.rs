@@ -96,6 +96,8 @@ pub struct FusedScan {
     pub last_depth: Option<Image<f32>>,
     /// The part of the surface that was delivered when the scan was made; `None` if that is all, or none has been yet.
     pub delivered: Option<TriMesh>,
+    /// What the operator should know of it, where it was read from an output folder.
+    pub warnings: Vec<String>,
 }
 
 impl FusedScan {

@@ -9,7 +9,7 @@ use crate::{http_client::Client, support::poll};
 use serde_json::Value;
 use std::{fs, path::Path};
 
-const SETTINGS: &str = "[capture]\nshading = \"stop_depth\"\n[fusion]\nvoxel_size_m = 0.004\n\
+const SETTINGS: &str = "[capture]\nshading = \"stop_depth\"\nmin_free_disk_mb = 0\n[fusion]\nvoxel_size_m = 0.004\n\
      [devices.kinect1]\nir_gain = 12\nlamp_position_m = [0.12, -0.07, 0.02]\n";
 
 /// A daemon that scans with the device, and where it listens.

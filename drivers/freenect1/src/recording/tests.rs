@@ -1,5 +1,6 @@
 use super::*;
 use crate::disparity::DisparityTable;
+use std::fs;
 
 fn device() -> DeviceRecord {
     DeviceRecord {
