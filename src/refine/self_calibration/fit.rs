@@ -11,7 +11,7 @@ const TILT_SIGMA_RAD: f64 = 0.015;
 /// Standard deviation of the light's place along the optical axis, metres.
 const LIGHT_DEPTH_SIGMA_M: f64 = 0.001;
 /// Standard deviation of the strength of indirect light as a share of it.
-const INDIRECT_SIGMA: f64 = 0.6;
+const INDIRECT_SIGMA: f64 = 0.3;
 /// What Eq. (1) gets wrong over a whole scan alike, as shares of intensity and of what of it is indirect: light from what the image does not
 /// show is missing, and what stands between is not seen. However many patches there are, they tell no better than that.
 const MODEL_SIGMA: f64 = 0.0022;
