@@ -90,6 +90,7 @@ impl Recorder {
         let frame = &delivered.frame;
         self.newest = Some((frame.frame_id, frame.device_time_secs));
         self.with_recording(|frames| frames.frame(delivered));
+        self.events.write_waiting();
     }
 
     /// Records what tracking tells.

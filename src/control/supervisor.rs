@@ -361,7 +361,6 @@ impl Supervisor {
             tracing::error!(session_id = %id, %error, "the scan's record cannot be written");
         }
         if scan.wants_refinement.load(Ordering::Relaxed) {
-            interim::cancel_waiting(self, id);
             match self.submit_patiently(scan, folder) {
                 Ok(job) => tracing::info!(session_id = %id, job = %job.id, "refinement asked for"),
                 Err(error) => tracing::warn!(session_id = %id, error, "no refinement"),
@@ -374,7 +373,11 @@ impl Supervisor {
         let submitted = RefCell::new(None);
         let waited = scan.watch.write_patiently("refinement", || {
             let wants = scan.wants_refinement.load(Ordering::Relaxed);
-            match wants.then(|| self.worker.submit(folder)) {
+            let submit = || {
+                interim::cancel_waiting(self, &scan.record.id);
+                self.worker.submit(folder)
+            };
+            match wants.then(submit) {
                 Some(Err(JobError::Io { path, source })) if is_passing(&source) => {
                     return Err(ExportError::Write {
                         path,
@@ -387,8 +390,16 @@ impl Supervisor {
         });
         waited.map_err(|error| error.to_string())?;
         let submitted = submitted.into_inner();
-        let submitted = submitted.ok_or_else(|| "the scan was abandoned".to_owned())?;
-        submitted.map_err(|error| error.to_string())
+        let abandoned = || "the scan was abandoned".to_owned();
+        let job = submitted.ok_or_else(abandoned)?;
+        let job = job.map_err(|error| error.to_string())?;
+        if scan.wants_refinement.load(Ordering::Relaxed) {
+            return Ok(job);
+        }
+        // While it was given to the worker, which takes seconds for a large one.
+        let cancelled = self.worker.cancel(&job.id);
+        cancelled.map_err(|error| error.to_string())?;
+        Err(abandoned())
     }
 
     fn account(&self, scan: &Scan, record: &ScanRecord) {

@@ -2,8 +2,8 @@
 //!
 //! Memory is bounded: once the packed images have filled it, every second frame is let go, from the first on and one for each
 //! that comes, until all are twice as far apart; from then on every second frame is kept, and so on. So memory is always used
-//! in full, and never more. A frame that is kept stands for those beside it that are not, and counts for all of them where it is
-//! fused again.
+//! in full, and never more. A frame that is kept stands for those beside it that are not, as far as tracking did not break, and counts
+//! for them, four at most, where it is fused again.
 
 use super::eye::Eye;
 use super::packed_depth::PackedDepth;
@@ -49,6 +49,8 @@ pub struct Keyframes {
     n_skipped: usize,
     /// The frames that these stand for, and then the next that is kept.
     n_unkept: usize,
+    /// The stretch of unbroken tracking that those not kept are of.
+    unkept_stretch: usize,
 }
 
 impl Keyframes {
@@ -62,6 +64,7 @@ impl Keyframes {
             next_to_go: 1,
             n_skipped: 0,
             n_unkept: 0,
+            unkept_stretch: 0,
         }
     }
 
@@ -91,13 +94,13 @@ impl Keyframes {
     /// Takes the frame in hand in, which was fused where the track now ends, unless it is one of those between.
     pub fn offer(&mut self, eye: &Eye, track: &Track, given: Option<Pose>, stretch: usize) {
         self.n_skipped += 1;
-        if self
-            .frames
-            .last()
-            .is_some_and(|last| last.stretch != stretch)
-        {
-            // What was seen before tracking broke is seen from elsewhere now.
-            self.n_unkept = 0;
+        if self.unkept_stretch != stretch {
+            // The next frame that is kept may be elsewhere.
+            let last = self.frames.last_mut();
+            if let Some(last) = last.filter(|last| last.stretch == self.unkept_stretch) {
+                last.n_frames += self.n_unkept;
+            }
+            (self.n_unkept, self.unkept_stretch) = (0, stretch);
         }
         self.n_unkept += eye.n_frames;
         if self.max_bytes == 0 || (self.n_skipped < self.stride && !self.frames.is_empty()) {
@@ -170,7 +173,8 @@ mod tests {
         let mut keyframes = Keyframes::new(max_bytes);
         let mut n_most = 0;
         for frame in 0..200 {
-            keyframes.offer(&eye, &at(frame), None, 0);
+            // Tracking breaks in the midst of a stride.
+            keyframes.offer(&eye, &at(frame), None, usize::from(frame >= 131));
             let frames = keyframes.frames();
             let held: usize = frames.iter().map(|f| f.depth.memory_bytes()).sum();
             assert!(held == keyframes.memory_bytes && held <= max_bytes);

@@ -68,7 +68,11 @@ impl CalibrationTrial<'_> {
         tracing::info!(believed, found, "slow gain by either calibration");
         let is_better = believed.zip(found);
         if is_better.is_some_and(|(believed, found)| found < believed) {
-            let rest = self.ask_with(&self.params.self_calibration, &views, relit.optics);
+            let mut rest = self.ask_with(&self.params.self_calibration, &views, relit.optics);
+            if rest.contradiction.is_some() {
+                let held = self.params.self_calibration.held();
+                rest = self.ask_with(&held, &views, relit.optics);
+            }
             let contradiction = told.contradiction;
             return (
                 Told {
