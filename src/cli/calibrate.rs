@@ -9,6 +9,7 @@ mod targets;
 
 use super::{
     run::{self, Verdict, session_name},
+    stdout::Stdout,
     values::numbers,
 };
 use anyhow::{Context, ensure};
@@ -23,6 +24,7 @@ use relief::{
 };
 use replay::Pacing;
 use std::{
+    io::{self, Write},
     path::{Path, PathBuf},
     str::FromStr,
 };
@@ -110,6 +112,25 @@ fn merge(
 ) -> anyhow::Result<MergeReport> {
     let shipped = Calibration::shipped_for(info).map_err(anyhow::Error::msg)?;
     config::merge_into_file(path, device, &shipped, replace).map_err(of_merging)
+}
+
+/// Says where a key went, if it was to be written, after it was printed: what cannot be printed is written all the same, and what cannot be
+/// written is printed.
+fn conclude(
+    key: CalibrationKey,
+    path: &Path,
+    written: anyhow::Result<Option<MergeReport>>,
+    printed: io::Result<()>,
+) -> anyhow::Result<Verdict> {
+    let written = written?;
+    printed?;
+    if let Some(report) = written {
+        if let Some(kept) = &report.kept {
+            writeln!(Stdout, "the file as it was: {}", kept.display())?;
+        }
+        writeln!(Stdout, "{key} written to {}", path.display())?;
+    }
+    Ok(Verdict::Done)
 }
 
 /// What is refused is bad usage, as in any file of the configuration; what cannot be written is a failure.

@@ -179,19 +179,24 @@ mod tests {
     use super::*;
     use std::fs;
 
+    /// Settings with a configuration file, in whose folder calibrations are looked for.
+    fn read(config: &Path) -> Settings {
+        Settings::read(SettingsPlaces {
+            config: Some(config.to_owned()),
+            calibration: None,
+            calibration_dir: config.parent().unwrap().to_owned(),
+            n_threads: NonZeroUsize::MIN,
+            record: false,
+        })
+        .unwrap()
+    }
+
     #[test]
     fn a_file_that_makes_no_sense_changes_nothing_and_is_told_of() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("relief.toml");
         fs::write(&path, "[fusion]\nvoxel_size_m = 0.004\n").unwrap();
-        let settings = Settings::read(SettingsPlaces {
-            config: Some(path.clone()),
-            calibration: None,
-            calibration_dir: folder.path().to_owned(),
-            n_threads: NonZeroUsize::MIN,
-            record: false,
-        })
-        .unwrap();
+        let settings = read(&path);
         fs::write(&path, "[fusion]\nvoxel_size_m = -1.0\n").unwrap();
         settings.reload().unwrap_err();
         assert_eq!(settings.config().fusion.voxel_size_m, 0.004);
@@ -209,14 +214,7 @@ mod tests {
         let path = folder.path().join("relief.toml");
         let made_with = |text: &str| {
             fs::write(&path, text).unwrap();
-            let settings = Settings::read(SettingsPlaces {
-                config: Some(path.clone()),
-                calibration: None,
-                calibration_dir: folder.path().to_owned(),
-                n_threads: NonZeroUsize::MIN,
-                record: false,
-            });
-            settings.unwrap().of_refinement()
+            read(&path).of_refinement()
         };
         let plain = made_with("");
         assert_eq!(made_with("[worker]\nnice = 5\n"), plain);

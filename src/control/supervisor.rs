@@ -1,30 +1,28 @@
 //! One camera, one scan at a time, many scans in the daemon's life: starts them, waits for them, and outlives them.
 
+mod ending;
+
 use super::{
     camera_source::{CameraSource, DeviceName, SourceError},
     data_folder::{DataFolder, NoRoom, SessionId},
     events::{Events, Topic},
-    interim,
     refined_error::RefinedError,
-    scan_record::{self, ScanRecord},
+    scan_record::ScanRecord,
     settings::Settings,
 };
 use crate::{
-    atomic_file::is_passing,
     config::ConfigError,
-    export::ExportError,
     jobs::{Job, JobError, WorkerHandle},
     lock::lock,
     pipeline::{
-        Command, CommandRefused, FrameAccounts, Handle, Outcome, OutputFolder, OutputFolderError,
-        Pipeline, SpawnError, Watch,
+        Command, CommandRefused, FrameAccounts, Handle, OutputFolder, OutputFolderError, Pipeline,
+        SpawnError, Watch,
     },
 };
 use serde_json::json;
 use std::{
-    cell::RefCell,
     fs, io,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{
         Arc, Mutex, MutexGuard,
         atomic::{AtomicBool, Ordering},
@@ -318,99 +316,6 @@ impl Supervisor {
         }
     }
 
-    /// Waits for a scan's end, writes down how it ended, and asks for its refinement.
-    async fn accompany(self: Arc<Self>, handle: Handle, scan: Arc<Scan>) {
-        let joined = task::spawn_blocking(|| handle.join()).await;
-        let failures = match &joined {
-            Ok(outcome) => outcome.failures.clone(),
-            Err(error) => vec![format!("the scan ended by a fault of the program: {error}")],
-        };
-        let id = &scan.record.id;
-        for failure in &failures {
-            tracing::error!(session_id = %id, failure, "scan failed");
-        }
-        tracing::info!(session_id = %id, "scan ended");
-        let folder = self.data.session(id);
-        let record = scan.record.clone().ended(failures);
-        if !joined.is_ok_and(has_mesh) {
-            scan.wants_refinement.store(false, Ordering::Relaxed);
-        }
-        let (supervisor, ended) = (self.clone(), record.clone());
-        let of_scan = scan.clone();
-        let concluded =
-            task::spawn_blocking(move || supervisor.conclude(&of_scan, &ended, &folder));
-        if let Err(error) = concluded.await {
-            tracing::error!(session_id = %id, %error, "the scan's end failed by a fault of the program");
-        }
-        self.account(&scan, &record);
-        self.occupy(Slot::Idle);
-    }
-
-    /// Writes down how a scan ended, and asks for its refinement; waits for the disk, as its files did.
-    fn conclude(&self, scan: &Scan, record: &ScanRecord, folder: &Path) {
-        let id = &record.id;
-        let path = folder.join(scan_record::NAME);
-        let written = scan.watch.write_patiently(scan_record::NAME, || {
-            let refused = |cause| ExportError::Write {
-                path: path.clone(),
-                cause,
-            };
-            record.write(folder).map_err(refused)
-        });
-        if let Err(error) = written {
-            tracing::error!(session_id = %id, %error, "the scan's record cannot be written");
-        }
-        if scan.wants_refinement.load(Ordering::Relaxed) {
-            match self.submit_patiently(scan, folder) {
-                Ok(job) => tracing::info!(session_id = %id, job = %job.id, "refinement asked for"),
-                Err(error) => tracing::warn!(session_id = %id, error, "no refinement"),
-            }
-        }
-    }
-
-    /// Gives an ended scan to the refinement worker as soon as the disk has room for the job, or says why not.
-    fn submit_patiently(&self, scan: &Scan, folder: &Path) -> Result<Job, String> {
-        let submitted = RefCell::new(None);
-        let waited = scan.watch.write_patiently("refinement", || {
-            let wants = scan.wants_refinement.load(Ordering::Relaxed);
-            let submit = || {
-                interim::cancel_waiting(self, &scan.record.id);
-                self.worker.submit(folder)
-            };
-            match wants.then(submit) {
-                Some(Err(JobError::Io { path, source })) if is_passing(&source) => {
-                    return Err(ExportError::Write {
-                        path,
-                        cause: source,
-                    });
-                }
-                ended => drop(submitted.replace(ended)),
-            }
-            Ok(())
-        });
-        waited.map_err(|error| error.to_string())?;
-        let submitted = submitted.into_inner();
-        let abandoned = || "the scan was abandoned".to_owned();
-        let job = submitted.ok_or_else(abandoned)?;
-        let job = job.map_err(|error| error.to_string())?;
-        if scan.wants_refinement.load(Ordering::Relaxed) {
-            return Ok(job);
-        }
-        // While it was given to the worker, which takes seconds for a large one.
-        let cancelled = self.worker.cancel(&job.id);
-        cancelled.map_err(|error| error.to_string())?;
-        Err(abandoned())
-    }
-
-    fn account(&self, scan: &Scan, record: &ScanRecord) {
-        let status = scan.watch.status();
-        let mut ended = lock(&self.ended);
-        ended.n_scans += 1;
-        ended.n_failed += u64::from(!record.failures.is_empty());
-        ended.frames = sum(&ended.frames, &status.frames);
-        ended.last = Some(record.id.clone());
-    }
-
     fn occupy(&self, slot: Slot) {
         *self.slot() = slot;
         self.is_idle.notify_waiters();
@@ -419,10 +324,6 @@ impl Supervisor {
     fn slot(&self) -> MutexGuard<'_, Slot> {
         lock(&self.slot)
     }
-}
-
-fn has_mesh(outcome: Outcome) -> bool {
-    outcome.report.base_mesh.faces > 0
 }
 
 /// The frames of two scans together.

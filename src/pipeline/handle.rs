@@ -94,11 +94,11 @@ impl Watch {
     ///
     /// # Errors
     /// As `attempt`, if waiting helps nothing or somebody has stopped the pipeline.
-    pub fn write_patiently(
+    pub fn write_patiently<T>(
         &self,
         name: &str,
-        attempt: impl Fn() -> Result<(), ExportError>,
-    ) -> Result<(), ExportError> {
+        attempt: impl Fn() -> Result<T, ExportError>,
+    ) -> Result<T, ExportError> {
         Patience::new(&self.status, &self.stop).write(name, attempt)
     }
 

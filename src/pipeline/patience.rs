@@ -35,11 +35,11 @@ impl Patience {
     ///
     /// # Errors
     /// As `attempt`, if waiting helps nothing or somebody has asked to stop.
-    pub fn write(
+    pub fn write<T>(
         &self,
         name: &str,
-        attempt: impl Fn() -> Result<(), ExportError>,
-    ) -> Result<(), ExportError> {
+        attempt: impl Fn() -> Result<T, ExportError>,
+    ) -> Result<T, ExportError> {
         let refusal = match attempt() {
             Err(error) if error.is_passing() => error.to_string(),
             ended => return ended,

@@ -5,14 +5,13 @@ use super::optics::Optics;
 use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
 use super::rounds::radius_about;
-use super::scenes::{FULL_SCALE, calibration, optics};
+use super::scenes::{FULL_SCALE, calibration, image, optics};
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
 use crate::geometry::{Pose, RayGrid, TriMesh, increment_about};
 use crate::interreflection::WhiteLevel;
 use crate::shading::{Calibration, Gloss};
 use crate::snapshot::ShadingSnapshot;
-use depth_camera::Image;
 use nalgebra::{Point3, Vector3, Vector6};
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -85,7 +84,6 @@ impl Corner<'_> {
     }
 
     fn snapshot(&self) -> ShadingSnapshot {
-        let camera = self.optics.rays.camera().intrinsics();
         let (mut counts, mut depths) = (Vec::new(), Vec::new());
         for ray in self.optics.rays.rays().data() {
             let [x, y] = ray.map(f64::from);
@@ -101,15 +99,12 @@ impl Corner<'_> {
             counts.push((FULL_SCALE * (linear * flat_field.factor(x, y)).powf(*gamma)) as f32);
             depths.push((self.camera_from_world * point).z as f32);
         }
-        ShadingSnapshot {
-            frame_id: 0,
-            device_time_secs: 0.0,
-            n_exposures: 1,
-            ir_counts: Image::from_vec(camera.width, camera.height, counts),
-            unlit_counts: None,
-            depth_m: Image::from_vec(camera.width, camera.height, depths),
-            world_from_camera: self.camera_from_world.inverse(),
-        }
+        image(
+            self.optics,
+            &self.camera_from_world.inverse(),
+            counts,
+            depths,
+        )
     }
 }
 

@@ -83,22 +83,13 @@ impl RippledPlane {
 
     /// What a camera at a pose sees of it: Eq. (1) on the closed form, at pixel centres.
     pub fn snapshot(&self, optics: &Optics, world_from_camera: &Pose) -> ShadingSnapshot {
-        let camera = optics.rays.camera().intrinsics();
         let (mut counts, mut depths) = (Vec::new(), Vec::new());
         for [x, y] in optics.rays.rays().data() {
             let (depth, value) = self.render(*x as f64, *y as f64, optics, world_from_camera);
             depths.push(depth as f32);
             counts.push(value as f32);
         }
-        ShadingSnapshot {
-            frame_id: 0,
-            device_time_secs: 0.0,
-            n_exposures: 1,
-            ir_counts: Image::from_vec(camera.width, camera.height, counts),
-            unlit_counts: None,
-            depth_m: Image::from_vec(camera.width, camera.height, depths),
-            world_from_camera: *world_from_camera,
-        }
+        image(optics, world_from_camera, counts, depths)
     }
 
     /// Adds what the plane shows if it is glossy.
@@ -161,6 +152,25 @@ impl RippledPlane {
             depth,
             FULL_SCALE * (linear * flat).powf(optics.calibration.gamma),
         )
+    }
+}
+
+/// A shading image from a pose, by the IR counts and depths (m) of its pixels.
+pub fn image(
+    optics: &Optics,
+    world_from_camera: &Pose,
+    counts: Vec<f32>,
+    depths_m: Vec<f32>,
+) -> ShadingSnapshot {
+    let camera = optics.rays.camera().intrinsics();
+    ShadingSnapshot {
+        frame_id: 0,
+        device_time_secs: 0.0,
+        n_exposures: 1,
+        ir_counts: Image::from_vec(camera.width, camera.height, counts),
+        unlit_counts: None,
+        depth_m: Image::from_vec(camera.width, camera.height, depths_m),
+        world_from_camera: *world_from_camera,
     }
 }
 

@@ -196,6 +196,7 @@ pub fn told_by_images(
         "response and light by the images"
     );
     let is_contradicted = is_contradicted && calibration.validate().is_ok();
+    let explained = |value: f64| if is_explained { value } else { 0.0 };
     Told {
         contradiction: is_contradicted.then(|| Contradiction {
             believed_gamma: believed.gamma,
@@ -203,13 +204,9 @@ pub fn told_by_images(
             calibration,
         }),
         gloss,
-        indirect_share: if is_explained { *indirect_share } else { 0.0 },
+        indirect_share: explained(*indirect_share),
         // Also where response and light stay as believed: held, they leave to it what they would explain, 0.1° on `relief-k2`.
-        log_indirect: if is_explained {
-            found.log_indirect
-        } else {
-            0.0
-        },
+        log_indirect: explained(found.log_indirect),
     }
 }
 

@@ -1,6 +1,6 @@
 //! `relief calibrate depth`: how bright white is, which tells how strong multipath is.
 
-use super::{DepthArgs, check_beforehand, measured_session, merge, next_frame, open};
+use super::{DepthArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
 use crate::cli::{
     run::{Verdict, all_processors, calibration_folder},
     stdout::Stdout,
@@ -78,17 +78,8 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
         merge(&path, &device, &info, args.file.replace)
     };
     let written = (!args.file.dry_run).then(write).transpose();
-    // What cannot be printed is written all the same, and what cannot be written is printed.
     let printed = print(&measured);
-    let written = written?;
-    printed?;
-    if let Some(report) = written {
-        if let Some(kept) = &report.kept {
-            writeln!(Stdout, "the file as it was: {}", kept.display())?;
-        }
-        writeln!(Stdout, "{key} written to {}", path.display())?;
-    }
-    Ok(Verdict::Done)
+    conclude(key, &path, written, printed)
 }
 
 /// A calibration that leaves to the scan how bright white is.

@@ -1,6 +1,6 @@
 //! `relief calibrate offset`: where the IR image lies against the depth image.
 
-use super::{OffsetArgs, check_beforehand, measured_session, merge, next_frame, open};
+use super::{OffsetArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
 use crate::cli::{
     run::{Verdict, calibration_folder},
     stdout::Stdout,
@@ -53,17 +53,8 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
         merge(&path, &measured, &info, args.file.replace)
     };
     let written = is_written.then(write).transpose();
-    // What cannot be printed is written all the same, and what cannot be written is printed.
     let printed = print(&estimate, info.sensor);
-    let written = written?;
-    printed?;
-    if let Some(report) = written {
-        if let Some(kept) = &report.kept {
-            writeln!(Stdout, "the file as it was: {}", kept.display())?;
-        }
-        writeln!(Stdout, "{key} written to {}", path.display())?;
-    }
-    Ok(Verdict::Done)
+    conclude(key, &path, written, printed)
 }
 
 /// A Kinect I: the images under the lamp, each with the depth before the projector was covered.
