@@ -1,6 +1,6 @@
 //! Shaded pictures of a mesh, for the report: one grey material under two lights that stand still beside the camera.
 //!
-//! Shading is computed in linear light and averaged over 2 × 2 samples a pixel, or once for a pixel within one face, before it is
+//! Shading is computed in linear light, once for each face that 2 × 2 samples of a pixel meet, and averaged over them before it is
 //! encoded as sRGB. Shadows, albedo and transparency are not drawn: the picture is to show shape.
 
 use super::{
@@ -68,8 +68,8 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// Mean of the samples of a pixel, encoded; all are looked at along the ray of its middle. Where they are of one face, its middle
-    /// stands for them.
+    /// Mean of the samples of a pixel, encoded. Each face is shaded once, in the middle of its samples, and all are looked at along the
+    /// ray of the pixel's own middle.
     fn pixel(&self, u: usize, v: usize, params: &PhongParams) -> [u8; 3] {
         const N: usize = SAMPLES * SAMPLES;
         const MIDDLE: f64 = (SAMPLES - 1) as f64 / 2.0;
@@ -80,28 +80,31 @@ impl Scene<'_> {
         if faces == [u32::MAX; N] {
             return params.background;
         }
-        let (middle_u, middle_v) = (first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
-        let ray = self.camera.unproject(middle_u, middle_v);
-        let look = ray.and_then(|ray| Look::along(&ray.push(1.0)));
-        let (Some(ray), Some(look)) = (ray, look) else {
+        let ray = self
+            .camera
+            .unproject(first_u as f64 + MIDDLE, first_v as f64 + MIDDLE);
+        let Some(look) = ray.and_then(|ray| Look::along(&ray.push(1.0))) else {
             return params.background;
         };
-        let depths = places.map(|[u, v]| f64::from(*self.buffer.depth_m.at(u, v)));
-        if faces == [faces[0]; N] {
-            let depth_m = depths.iter().sum::<f64>() / N as f64;
-            let brightness = self.brightness(faces[0], &ray, depth_m, &look, params);
-            return brightness.map_or(params.background, |grey| [srgb_from_linear(grey); 3]);
-        }
-        let samples = places.into_iter().zip(faces).zip(depths);
-        let covered = samples.filter(|&((_, face), _)| face != u32::MAX);
-        let brightnesses = covered.filter_map(|(([u, v], face), depth_m)| {
-            let ray = self.camera.unproject(u as f64, v as f64)?;
-            self.brightness(face, &ray, depth_m, &look, params)
-        });
         let (mut grey, mut n_covered) = (0.0, 0);
-        for brightness in brightnesses {
-            grey += brightness;
-            n_covered += 1;
+        for (first, &face) in faces.iter().enumerate() {
+            if face == u32::MAX || faces[..first].contains(&face) {
+                continue;
+            }
+            let (mut n, mut depth_m, mut at) = (0, 0.0, Vector2::zeros());
+            for (&[u, v], _) in places.iter().zip(&faces).filter(|&(_, &of)| of == face) {
+                n += 1;
+                depth_m += f64::from(*self.buffer.depth_m.at(u, v));
+                at += Vector2::new(u as f64, v as f64);
+            }
+            let (at, depth_m) = (at / f64::from(n), depth_m / f64::from(n));
+            let ray = self.camera.unproject(at.x, at.y);
+            let brightness =
+                ray.and_then(|ray| self.brightness(face, &ray, depth_m, &look, params));
+            if let Some(brightness) = brightness {
+                grey += f64::from(n) * brightness;
+                n_covered += n as usize;
+            }
         }
         match n_covered {
             0 => params.background,
