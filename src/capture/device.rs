@@ -4,6 +4,9 @@
 //! frame it is awaited, and the stream goes on when it is back. A recording ends at its end; played at its own pace it is waited
 //! for through its gaps.
 
+mod missed;
+
+use self::missed::Missed;
 use super::{CaptureParams, Event, EventKind, continuity::Continuity};
 use depth_camera::{CameraError, DepthCamera, Frame};
 use serde::Serialize;
@@ -65,6 +68,8 @@ pub struct CaptureSummary {
     pub n_damaged: u64,
     /// Waits for a frame that were in vain.
     pub n_timeouts: u64,
+    /// Frames, and infrared images that frames lack, which the driver had and let go; none of them is among the frames above.
+    pub n_missed: u64,
     /// What is wrong with the first damaged frame.
     pub first_damage: Option<String>,
     /// How the stream ended.
@@ -84,10 +89,12 @@ pub fn run_device(
         health: DeviceHealth::default(),
         n_in_vain: 0,
         continuity: Continuity::default(),
+        missed: Missed::default(),
         summary: CaptureSummary {
             n_frames: 0,
             n_damaged: 0,
             n_timeouts: 0,
+            n_missed: 0,
             first_damage: None,
             end: CaptureEnd::Stopped,
         },
@@ -95,16 +102,23 @@ pub fn run_device(
     };
     while !stop.load(Ordering::Relaxed) {
         let grabbed = camera.grab(params.grab_timeout());
-        if let Some(end) = device.handle(grabbed, &mut deliver) {
+        let end = device.handle(grabbed, &mut deliver);
+        device.account(camera);
+        if let Some(end) = end {
             device.summary.end = end;
             break;
         }
     }
-    let summary = device.summary;
+    device.missed.pause(camera);
+    let summary = CaptureSummary {
+        n_missed: device.missed.total(),
+        ..device.summary
+    };
     tracing::debug!(
         n_frames = summary.n_frames,
         n_damaged = summary.n_damaged,
         n_timeouts = summary.n_timeouts,
+        n_missed = summary.n_missed,
         end = ?summary.end,
         "capture ended"
     );
@@ -119,6 +133,7 @@ struct Device<'a> {
     /// Waits in vain since it was heard last.
     n_in_vain: usize,
     continuity: Continuity,
+    missed: Missed,
     summary: CaptureSummary,
     last_heard: Instant,
 }
@@ -155,6 +170,14 @@ impl Device<'_> {
                 tracing::error!(%error, "the camera failed");
                 Some(CaptureEnd::Failed(error))
             }
+        }
+    }
+
+    /// Keeps account of what the driver misses.
+    fn account(&mut self, camera: &dyn DepthCamera) {
+        match self.summary.n_frames > 0 && self.health != DeviceHealth::Gone {
+            true => self.missed.follow(camera),
+            false => self.missed.pause(camera),
         }
     }
 

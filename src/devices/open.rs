@@ -80,6 +80,10 @@ impl DepthCamera for LiveCamera {
         self.as_camera_mut().grab(timeout)
     }
 
+    fn n_missed(&self) -> u64 {
+        self.as_camera().n_missed()
+    }
+
     fn pause_depth(&mut self) -> Result<(), CameraError> {
         self.as_camera_mut().pause_depth()
     }

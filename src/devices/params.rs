@@ -1,5 +1,6 @@
 //! What can be set about live devices.
 
+use depth_camera::Light;
 use freenect1::{Settings, streams::IrSize};
 use freenect2::{BilateralOptions, DecoderOptions, EdgeAwareOptions};
 use serde::{Deserialize, Serialize};
@@ -67,9 +68,6 @@ impl Default for Kinect2Params {
     }
 }
 
-/// A lamp further from the camera than this is none that is fixed to the sensor, metres.
-const MAX_LAMP_DISTANCE_M: f64 = 2.0;
-
 impl DeviceParams {
     /// Checks every value against its bound.
     ///
@@ -82,12 +80,8 @@ impl DeviceParams {
                 "devices.kinect1.ir_gain is {gain}, must be 1 to 50"
             ));
         }
-        let lamp = self.kinect1.lamp_position_m.unwrap_or_default();
-        let distance_m = lamp.iter().map(|x| x * x).sum::<f64>().sqrt();
-        if !(0.0..=MAX_LAMP_DISTANCE_M).contains(&distance_m) {
-            return Err(format!(
-                "devices.kinect1.lamp_position_m is {distance_m} m from the camera, must be at most {MAX_LAMP_DISTANCE_M} m"
-            ));
+        if let Some(position_m) = self.kinect1.lamp_position_m {
+            Light::check_position("devices.kinect1.lamp_position_m", position_m)?;
         }
         let offset_m = self.kinect2.depth_offset_m;
         if !(-0.2..=0.2).contains(&offset_m) {

@@ -30,10 +30,10 @@ impl RawRecording {
         }
     }
 
-    fn finish(self) -> Result<usize, WriteError> {
+    fn finish(self) -> Result<(), WriteError> {
         match self {
-            RawRecording::Kinect1(writer) => writer.finish(),
-            RawRecording::Kinect2(writer) => writer.finish(),
+            RawRecording::Kinect1(writer) => writer.finish().map(|_| ()),
+            RawRecording::Kinect2(writer) => writer.finish().map(|_| ()),
         }
     }
 }
@@ -45,6 +45,7 @@ impl RawRecording {
 pub struct RecordedCamera {
     camera: LiveCamera,
     recording: Option<RawRecording>,
+    n_recorded: usize,
     failure: Option<WriteError>,
 }
 
@@ -57,6 +58,7 @@ impl RecordedCamera {
         Ok(RecordedCamera {
             recording: Some(RawRecording::create(&camera, folder)?),
             camera,
+            n_recorded: 0,
             failure: None,
         })
     }
@@ -66,15 +68,30 @@ impl RecordedCamera {
         self.recording.is_some()
     }
 
-    /// Ends the recording, and says how many moments it holds.
+    /// How many moments the recording holds.
+    pub fn n_recorded(&self) -> usize {
+        self.n_recorded
+    }
+
+    /// Ends the recording.
     ///
     /// # Errors
     /// What ended the recording before, or keeps it from being safe on the disk.
-    pub fn finish(self) -> Result<usize, WriteError> {
+    pub fn finish(self) -> Result<(), WriteError> {
         match (self.failure, self.recording) {
             (Some(failure), _) => Err(failure),
-            (None, recording) => recording.map_or(Ok(0), RawRecording::finish),
+            (None, recording) => recording.map_or(Ok(()), RawRecording::finish),
         }
+    }
+
+    /// Ends a recording that cannot be written any more: what there is stays whole.
+    fn end_with(&mut self, failure: WriteError) {
+        tracing::error!(error = %failure, "raw recording stopped");
+        let ended = self.recording.take().map(RawRecording::finish);
+        if let Some(Err(error)) = ended {
+            tracing::error!(%error, "the raw recording may not be safe on the disk");
+        }
+        self.failure = Some(failure);
     }
 
     /// Grabs and records; what could not be written comes beside the frame.
@@ -109,15 +126,15 @@ impl DepthCamera for RecordedCamera {
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         let (frame, written) = self.grab_and_write(timeout)?;
         match written {
-            Ok(()) => {}
+            Ok(()) => self.n_recorded += usize::from(self.is_recording() && frame.is_some()),
             Err(error @ WriteError::Frame { .. }) => tracing::warn!(%error, "not recorded"),
-            Err(error) => {
-                tracing::error!(%error, "raw recording stopped");
-                self.failure = Some(error);
-                self.recording = None;
-            }
+            Err(error) => self.end_with(error),
         }
         Ok(frame)
+    }
+
+    fn n_missed(&self) -> u64 {
+        self.camera.n_missed()
     }
 
     fn pause_depth(&mut self) -> Result<(), CameraError> {

@@ -5,7 +5,7 @@ use std::{error::Error, fmt, time::Duration};
 /// Why a camera did not deliver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CameraError {
-    /// The device is gone; it may come back under the same serial.
+    /// The device is gone, or has fallen silent; it may come back under the same serial.
     Disconnected,
     /// Another process holds the device.
     Busy,

@@ -130,7 +130,27 @@ pub struct Light {
     pub kind: LightKind,
 }
 
+/// A light further from the camera than this is not the near light that shading needs, metres.
+const MAX_LIGHT_DISTANCE_M: f64 = 2.0;
+
 impl Light {
+    /// Checks that a position, metres, can be that of the near light; `key` is its name where it was given.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn check_position(key: &str, position_m: [f64; 3]) -> Result<(), String> {
+        if let Some(value) = position_m.iter().find(|value| !value.is_finite()) {
+            return Err(format!("{key} is {value}, must be finite"));
+        }
+        let distance_m = position_m.iter().map(|x| x * x).sum::<f64>().sqrt();
+        match distance_m <= MAX_LIGHT_DISTANCE_M {
+            true => Ok(()),
+            false => Err(format!(
+                "{key} is {distance_m} m from the camera, must be at most {MAX_LIGHT_DISTANCE_M} m"
+            )),
+        }
+    }
+
     /// The emitter of a Kinect II where its own ranging has it, 45 mm beside the camera, in images that are not mirrored.
     pub fn kinect2_emitter() -> Self {
         Light {
@@ -176,6 +196,16 @@ pub struct Frame {
     pub ir: Option<Image<u16>>,
 }
 
+impl Frame {
+    /// Share of the pixels with depth, 0 to 1; 0 without a depth image.
+    pub fn depth_share(&self) -> f64 {
+        self.depth.as_ref().map_or(0.0, |depth| {
+            let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
+            n_valid as f64 / depth.data().len().max(1) as f64
+        })
+    }
+}
+
 /// Device time in whole microseconds, seconds.
 ///
 /// That is what lists of recordings keep: a time that has passed through here is the same when it is read again.
@@ -196,6 +226,12 @@ pub trait DepthCamera: Send {
     /// [`CameraError::Timeout`] when no frame came in time, [`CameraError::NotDue`] when a recording has none for that time,
     /// [`CameraError::DamagedFrame`] for one frame that cannot be used (the stream goes on), and the other kinds when the stream is over.
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError>;
+
+    /// How many frames the driver had to let go since the camera was opened, and IR images that it had to leave out of frames, none
+    /// of which an error of [`DepthCamera::grab`] tells of. A camera that lets nothing go has missed none.
+    fn n_missed(&self) -> u64 {
+        0
+    }
 
     /// Stops depth while IR goes on: frames carry IR alone from then on. Of a Kinect I it is said that its projector goes dark;
     /// only the IR image can tell.
@@ -220,6 +256,17 @@ pub trait DepthCamera: Send {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_light_that_is_nowhere_near_is_named_with_its_bound() {
+        let said = |position_m| Light::check_position("lamp", position_m).err();
+        assert_eq!(said([1.0, 0.0, -1.5]), None);
+        let far = "lamp is 50 m from the camera, must be at most 2 m";
+        assert_eq!(said([0.0, -50.0, 0.0]).unwrap(), far);
+        assert_eq!(said([0.0, 1e200, 0.0]).unwrap(), far.replace("50", "inf"));
+        let nowhere = "lamp is NaN, must be finite";
+        assert_eq!(said([0.0, 0.0, f64::NAN]).unwrap(), nowhere);
+    }
 
     #[test]
     fn a_size_that_cannot_be_worked_on_is_named_with_its_bound() {

@@ -70,8 +70,18 @@ pub struct Statistics {
     pub ir: StreamStatistics,
     /// IR images that were dropped because depth of the same moment did not come, or because nothing told which one it was.
     pub n_ir_unpaired: u64,
+    /// IR images that no frame holds though no damaged frame tells of it: damaged ones beside whole depth, those that libfreenect gave
+    /// up, and unpaired ones, but for those that come while depth begins.
+    pub n_ir_untold: u64,
     /// Frames that nobody fetched in time; newer ones took their place.
     pub n_overrun: u64,
+}
+
+impl Statistics {
+    /// Frames and single IR images that were let go without a damaged frame that tells of it.
+    pub fn n_missed(&self) -> u64 {
+        self.n_overrun + self.n_ir_untold
+    }
 }
 
 /// An image on its way to its counterpart.
@@ -163,6 +173,7 @@ pub struct Assembler {
     pairing: Pairing<Exposure>,
     next_frame_id: u64,
     n_ir_unpaired: u64,
+    n_ir_untold: u64,
     /// Stamp of the newest IR image since IR was started.
     newest_ir_ticks: Option<u32>,
 }
@@ -176,6 +187,7 @@ impl Default for Assembler {
             pairing: Pairing::new(Running::One),
             next_frame_id: 0,
             n_ir_unpaired: 0,
+            n_ir_untold: 0,
             newest_ir_ticks: None,
         }
     }
@@ -243,7 +255,7 @@ impl Assembler {
     pub fn ir_packet(&mut self, number: usize, bytes: usize) -> Option<std::ops::Range<usize>> {
         let place = self.ir.ledger.layout().place(number, bytes)?;
         if let Some(damage) = self.ir.ledger.packet(number, bytes) {
-            self.ir.count(&damage);
+            self.ir_given_up(&damage);
         }
         Some(place)
     }
@@ -273,7 +285,7 @@ impl Assembler {
     /// The IR buffer was filled, and another one takes its place.
     pub fn ir_filled(&mut self, ticks: u32, host: Instant, mut emit: impl FnMut(Captured)) {
         let (image, damage, given_up) = self.ir.finish(host);
-        given_up.iter().for_each(|damage| self.ir.count(damage));
+        given_up.iter().for_each(|damage| self.ir_given_up(damage));
         // The firmware stops these stamps while depth is off, and sets them going with depth's first frame.
         let before = self.newest_ir_ticks.replace(ticks);
         let moves = match before {
@@ -310,13 +322,20 @@ impl Assembler {
         });
     }
 
+    fn ir_given_up(&mut self, damage: &Damage) {
+        self.ir.count(damage);
+        self.n_ir_untold += 1;
+    }
+
     /// Delivers what is whole of a moment.
     fn resolve(&mut self, moment: Moment<Exposure>, emit: &mut impl FnMut(Captured)) {
         let (depth, ir) = match moment {
             Moment::Both(depth, ir) => (Some(depth), Some(ir)),
             Moment::Depth(depth) => (Some(depth), None),
             Moment::Ir(_) if self.depth.last_heard.is_some() => {
+                let has_begun = self.depth.n_heard >= N_DEPTH_UNTIL_STAMPS_MOVE;
                 self.n_ir_unpaired += 1;
+                self.n_ir_untold += u64::from(has_begun);
                 return;
             }
             Moment::Ir(ir) => (None, Some(ir)),
@@ -338,6 +357,8 @@ impl Assembler {
         let (Some(device_time_secs), Some(host_time)) = (device_time_secs, host_time) else {
             return;
         };
+        let is_ir_damaged = ir.as_ref().is_some_and(|ir| ir.damage.is_some());
+        self.n_ir_untold += u64::from(is_ir_damaged);
         emit(Captured::Frame(RawFrame {
             frame_id,
             device_time_secs: whole_microseconds(device_time_secs),
@@ -368,6 +389,7 @@ impl Assembler {
             depth: self.depth.statistics,
             ir: self.ir.statistics,
             n_ir_unpaired: self.n_ir_unpaired,
+            n_ir_untold: self.n_ir_untold,
             n_overrun: 0,
         }
     }

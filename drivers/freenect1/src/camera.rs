@@ -23,15 +23,13 @@ use crate::{
     frames::{DeviceRecord, FrameDecoder},
     settings::Settings,
     streams::{IrSize, Streams},
+    supervision::OPEN_LIMIT,
 };
 
 /// Frames that wait to be fetched; older ones make room for newer ones.
 const EVENT_CAPACITY: usize = 4;
 
 const COMMAND_CAPACITY: usize = 4;
-
-/// A device of the later models resets its audio part when it is opened, which takes a second.
-const OPEN_LIMIT: Duration = Duration::from_secs(10);
 
 /// How long closing may take before the thread is left to itself.
 const CLOSE_LIMIT: Duration = Duration::from_secs(3);
@@ -53,9 +51,10 @@ pub fn attached() -> Result<Vec<String>, CameraError> {
 
 /// A Kinect I.
 ///
-/// After [`CameraError::Disconnected`] the camera looks for its device by serial number: `grab` may be called again, times out
-/// while the device is away and goes on when it is back: soon after udev has announced it, where there is a monitor
-/// ([`Freenect1Camera::with_monitor`]), and at the next look otherwise ([`Settings::search_interval`]). After any other error that is not recoverable the stream is over.
+/// A device that is unplugged, or falls silent once its streams have come, ends in one [`CameraError::Disconnected`]. The camera then
+/// looks for it by serial number: `grab` may be called again, times out while the device is away and goes on when it streams
+/// again: soon after udev has announced it, where there is a monitor ([`Freenect1Camera::with_monitor`]), and at the next look
+/// otherwise ([`Settings::search_interval`]). After any other error that is not recoverable the stream is over.
 ///
 /// Dropping the camera stops and closes the device; if that does not return, the thread is left behind with it.
 #[derive(Debug)]
@@ -160,7 +159,8 @@ impl Freenect1Camera {
     /// As [`DepthCamera::grab`], with nothing decoded: disparity, and all rows of the IR image.
     ///
     /// # Errors
-    /// As [`DepthCamera::grab`]; [`CameraError::Unresponsive`] if a stream is silent or a call to the device does not return.
+    /// As [`DepthCamera::grab`]; [`CameraError::Unresponsive`] if a stream has not come since the camera was opened, or a call to the
+    /// device does not return.
     pub fn grab_raw(&mut self, timeout: Duration) -> Result<RawFrame, CameraError> {
         if let Some(error) = &self.over {
             return Err(error.clone());
@@ -207,6 +207,10 @@ impl DepthCamera for Freenect1Camera {
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         let raw = self.grab_raw(timeout)?;
         Ok(Some(self.decode(raw)))
+    }
+
+    fn n_missed(&self) -> u64 {
+        self.control.statistics().n_missed()
     }
 
     fn pause_depth(&mut self) -> Result<(), CameraError> {

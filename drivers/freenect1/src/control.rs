@@ -13,10 +13,8 @@ use crate::{
     assembly::Statistics,
     exchange::{Command, Shared},
     streams::{ProjectorState, Streams},
+    supervision::CALL_LIMIT,
 };
-
-/// A call that takes longer will not return: starting both streams takes a dozen control transfers of a millisecond each.
-const CALL_LIMIT: Duration = Duration::from_secs(2);
 
 /// How often one who waits looks whether the device thread is stuck.
 pub(crate) const LOOK_INTERVAL: Duration = Duration::from_millis(100);
@@ -101,16 +99,15 @@ impl Control {
 
     /// The error that says so, if the device thread is inside a call that has taken too long.
     pub(crate) fn stuck(&self) -> Option<CameraError> {
-        if self.shared.heartbeat.now().1 <= CALL_LIMIT {
-            return None;
-        }
+        self.shared.heartbeat.overdue()?;
         // Where the whole process was stopped, its threads go on together: the device thread is given the time for that.
         thread::sleep(LOOK_INTERVAL);
-        let (activity, since) = self.shared.heartbeat.now();
-        (since > CALL_LIMIT).then(|| {
-            let secs = since.as_secs_f64();
-            CameraError::Unresponsive(format!("{} has taken {secs:.1} s", activity.name()))
-        })
+        let (activity, since) = self.shared.heartbeat.overdue()?;
+        let secs = since.as_secs_f64();
+        Some(CameraError::Unresponsive(format!(
+            "{} has taken {secs:.1} s",
+            activity.name()
+        )))
     }
 }
 

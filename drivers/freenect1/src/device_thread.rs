@@ -37,10 +37,12 @@ const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
 enum End {
     Stopped,
     NotOpened(CameraError),
+    /// A stream has not come since the device was opened.
+    Silent(CameraError),
     Failed(CameraError),
 }
 
-/// What commands came to while the device was gone.
+/// What commands came to.
 #[derive(PartialEq, Eq)]
 enum Obeyed {
     Go,
@@ -65,8 +67,8 @@ pub(crate) struct DeviceThread {
 }
 
 impl DeviceThread {
-    /// Runs until told to stop, or until the device fails in another way than by being unplugged. `opened` hears of the first
-    /// attempt to open it.
+    /// Runs until told to stop, or until the device fails in another way than by being unplugged or falling silent after its streams
+    /// had come. `opened` hears of the first attempt to open it.
     pub(crate) fn run(self, opened: &Sender<Result<Identity, CameraError>>) {
         let tell_opened = |identity| drop(opened.try_send(Ok(identity)));
         let mut end = self.session(&tell_opened);
@@ -74,7 +76,7 @@ impl DeviceThread {
             drop(opened.try_send(Err(error)));
             return;
         }
-        while let End::Failed(error) = end {
+        while let End::Failed(error) | End::Silent(error) = end {
             let may_return = error == CameraError::Disconnected;
             self.outlet.offer(Event::Failed(error), &self.shared);
             if !may_return {
@@ -84,7 +86,7 @@ impl DeviceThread {
         }
     }
 
-    /// Looks for the device until it is open again, then streams.
+    /// Looks for the device until it streams again, and takes its streams.
     fn resume(&self) -> End {
         let mut next_look = Instant::now();
         loop {
@@ -96,9 +98,11 @@ impl DeviceThread {
             if !is_announced && Instant::now() < next_look {
                 continue;
             }
-            // It may be there before the system has set its permissions, or before its other parts: try again.
+            // It may be there before the system has set its permissions, before its other parts, or before it can stream: try again.
             match self.session(&|_| ()) {
-                End::NotOpened(_) => next_look = Instant::now() + self.search_interval,
+                End::NotOpened(_) | End::Silent(_) => {
+                    next_look = Instant::now() + self.search_interval;
+                }
                 end => return end,
             }
         }
@@ -145,6 +149,8 @@ impl DeviceThread {
         };
         let end = self.stream(&context, &device);
         self.shared.depth_runs.store(false, Ordering::Relaxed);
+        // What has fallen silent may answer late, also to being stopped and closed.
+        self.shared.heartbeat.begin_return();
         drop(device);
         self.publish();
         end
@@ -171,43 +177,57 @@ impl DeviceThread {
     }
 
     fn stream(&self, context: &Context, device: &Device<'_>) -> End {
+        let heartbeat = &self.shared.heartbeat;
         let mut turn = Instant::now();
         let mut awake_since = turn;
+        let mut have_come = false;
+        // In this order: what went before may have taken long.
+        heartbeat.enter(Activity::Streaming);
+        heartbeat.end_return();
         loop {
-            self.shared.heartbeat.enter(Activity::Streaming);
-            let pumped = context.pump(PUMP_TIMEOUT);
+            heartbeat.enter(Activity::Streaming);
+            if let Err(error) = context.pump(PUMP_TIMEOUT) {
+                return End::Failed(error);
+            }
             let now = Instant::now();
             if now - turn > AWAY {
                 awake_since = now;
             }
             turn = now;
-            if let Err(error) = pumped.and_then(|()| self.watch(awake_since)) {
-                return End::Failed(error);
+            have_come = have_come || self.have_come();
+            match self.watch(awake_since) {
+                Ok(()) => {}
+                // As after a stall of the bus: opened again, they come again.
+                Err(_) if have_come => return End::Failed(CameraError::Disconnected),
+                Err(error) => return End::Silent(error),
             }
             self.publish();
-            loop {
-                let obeyed = match self.commands.try_recv() {
-                    Err(TryRecvError::Empty) => break,
-                    // The camera was dropped, or never came to be because opening took too long.
-                    Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return End::Stopped,
-                    Ok(Command::Streams(streams, answer)) => {
-                        let obeyed = self.apply(device, streams);
-                        drop(answer.try_send(obeyed.clone()));
-                        obeyed
-                    }
-                    Ok(Command::IrGain(gain, answer)) => {
-                        let obeyed = self.set_ir_gain(device, gain);
-                        drop(answer.try_send(obeyed.clone()));
-                        obeyed.map(drop)
-                    }
-                    Ok(Command::Listen(monitor)) => {
-                        self.listen_to(monitor);
-                        Ok(())
-                    }
-                };
-                if let Err(error) = obeyed {
-                    return End::Failed(error);
+            match self.obey(device) {
+                Ok(Obeyed::Go) => {}
+                Ok(Obeyed::Stop) => return End::Stopped,
+                Err(error) => return End::Failed(error),
+            }
+        }
+    }
+
+    /// Does what it is told.
+    fn obey(&self, device: &Device<'_>) -> Result<Obeyed, CameraError> {
+        loop {
+            match self.commands.try_recv() {
+                Err(TryRecvError::Empty) => return Ok(Obeyed::Go),
+                // The camera was dropped, or never came to be because opening took too long.
+                Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return Ok(Obeyed::Stop),
+                Ok(Command::Streams(streams, answer)) => {
+                    let obeyed = self.apply(device, streams);
+                    drop(answer.try_send(obeyed.clone()));
+                    obeyed?;
                 }
+                Ok(Command::IrGain(gain, answer)) => {
+                    let obeyed = self.set_ir_gain(device, gain);
+                    drop(answer.try_send(obeyed.clone()));
+                    obeyed?;
+                }
+                Ok(Command::Listen(monitor)) => self.listen_to(monitor),
             }
         }
     }
@@ -251,6 +271,13 @@ impl DeviceThread {
         let assembler = self.assembler.borrow();
         check_silence("depth", assembler.depth_silence(now))?;
         check_silence("IR", assembler.ir_silence(now))
+    }
+
+    /// Whether every stream that runs has brought something since it was started.
+    fn have_come(&self) -> bool {
+        let (now, assembler) = (Instant::now(), self.assembler.borrow());
+        let running = [assembler.depth_silence(now), assembler.ir_silence(now)];
+        running.iter().flatten().all(|silence| !silence.is_first)
     }
 
     fn publish(&self) {

@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image};
+use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image, Light};
 use replay::{ListFile, Moment, Pacer, Pacing, PngEffort, WriteError};
 use serde::{Deserialize, Serialize};
 
@@ -121,6 +121,7 @@ impl RawDisparityCamera {
         let device = device.device();
         let decoder =
             FrameDecoder::new(&device.zero_plane).map_err(|error| invalid(&path, error))?;
+        check_lamp(&device).map_err(|error| invalid(&path, error))?;
         let in_image = |offset: f64, side: usize| offset.abs() < side as f64 / 2.0;
         let [right, down] = device.ir_offset_px;
         if !in_image(right, DEPTH_SIZE.0) || !in_image(down, DEPTH_SIZE.1) {
@@ -210,11 +211,12 @@ impl RawDisparityWriter {
     /// Begins a recording in `folder`, which is created and must be empty otherwise.
     ///
     /// # Errors
-    /// [`WriteError::NotEmpty`], [`WriteError::Io`], or [`WriteError::Camera`] for constants that make no sense.
+    /// [`WriteError::NotEmpty`], [`WriteError::Io`], or [`WriteError::Camera`] for constants or a lamp that make no sense.
     pub fn create(folder: &Path, device: &DeviceRecord) -> Result<Self, WriteError> {
         let path = folder.join(RAW_DEVICE_FILE);
         let constants = device.zero_plane.validate();
         constants.map_err(|error| invalid(&path, error))?;
+        check_lamp(device).map_err(|error| invalid(&path, error))?;
         let text = toml::to_string(&DeviceFile::of_device(device));
         let text = text.map_err(|error| invalid(&path, error))?;
         replay::create_empty_folder(folder)?;
@@ -290,6 +292,13 @@ impl RawDisparityWriter {
         self.disparity_list.sync()?;
         self.ir_list.sync()?;
         Ok(self.n_moments)
+    }
+}
+
+fn check_lamp(device: &DeviceRecord) -> Result<(), String> {
+    match device.lamp_position_m {
+        Some(position_m) => Light::check_position("lamp_position_m", position_m),
+        None => Ok(()),
     }
 }
 

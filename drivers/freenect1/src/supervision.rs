@@ -3,9 +3,15 @@
 //! libfreenect's control transfers have no time limit, and it asks again for as long as the answer is empty.
 
 use std::{
-    sync::atomic::{AtomicU64, Ordering},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::{Duration, Instant},
 };
+
+/// A call that takes longer will not return: starting both streams takes a dozen control transfers of a millisecond each.
+pub(crate) const CALL_LIMIT: Duration = Duration::from_secs(2);
+
+/// How long opening may take: a device of the later models resets its audio part meanwhile, which takes a second.
+pub(crate) const OPEN_LIMIT: Duration = Duration::from_secs(10);
 
 /// What the device thread is inside of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +72,8 @@ pub struct Heartbeat {
     epoch: Instant,
     /// Milliseconds since `epoch` above eight bits of [`Activity`].
     state: AtomicU64,
+    /// Whether the device has gone or fallen silent, and does not stream again yet.
+    is_returning: AtomicBool,
 }
 
 impl Heartbeat {
@@ -74,6 +82,7 @@ impl Heartbeat {
         Heartbeat {
             epoch: Instant::now(),
             state: AtomicU64::new(activity as u64),
+            is_returning: AtomicBool::new(false),
         }
     }
 
@@ -91,6 +100,26 @@ impl Heartbeat {
         let since = Duration::from_millis(state >> 8);
         (activity, self.epoch.elapsed().saturating_sub(since))
     }
+
+    /// From now on the device is closed and opened again, which may take as long as opening it at first.
+    pub fn begin_return(&self) {
+        self.is_returning.store(true, Ordering::Relaxed);
+    }
+
+    /// The device streams.
+    pub fn end_return(&self) {
+        self.is_returning.store(false, Ordering::Relaxed);
+    }
+
+    /// What is being done, and for how long, if that is longer than it may take.
+    pub fn overdue(&self) -> Option<(Activity, Duration)> {
+        let limit = match self.is_returning.load(Ordering::Relaxed) {
+            true => OPEN_LIMIT,
+            false => CALL_LIMIT,
+        };
+        let (activity, since) = self.now();
+        (since > limit).then_some((activity, since))
+    }
 }
 
 #[cfg(test)]
@@ -106,5 +135,23 @@ mod tests {
             assert_eq!(told, activity);
             assert!(since < Duration::from_secs(5));
         }
+    }
+
+    #[test]
+    fn a_device_that_returns_is_given_the_time_of_an_opening() {
+        let begun = |secs| Heartbeat {
+            epoch: Instant::now() - Duration::from_secs(secs),
+            ..Heartbeat::new(Activity::StartingIr)
+        };
+        let heartbeat = begun(4);
+        let overdue = || heartbeat.overdue().map(|(activity, _)| activity);
+        assert_eq!(overdue(), Some(Activity::StartingIr));
+        heartbeat.begin_return();
+        assert_eq!(overdue(), None);
+        heartbeat.end_return();
+        assert_eq!(overdue(), Some(Activity::StartingIr));
+        let never = begun(60);
+        never.begin_return();
+        assert!(never.overdue().is_some());
     }
 }

@@ -118,6 +118,11 @@ impl Unit {
         self.with(|plugged| plugged.n_open)
     }
 
+    /// Runs `body` while calls to the library do not return, whichever unit they are about.
+    pub fn while_stuck<R>(&self, body: impl FnOnce() -> R) -> R {
+        self.with(|_| body())
+    }
+
     /// Sends a packet if the unit is there and streams; says whether it was sent.
     pub fn send(&self, packet: Packet<'_>) -> bool {
         self.with(|plugged| {

@@ -19,7 +19,8 @@ const REPEAT_M: [f64; 3] = [3.75, 18.75, 2.5];
 const AMPLITUDE_PER_IR: f64 = 1.0 / 16.0;
 /// What the amplitudes are multiplied by to be equal.
 const EQUALISER: [f64; 3] = [1.322581, 1.0, 1.612903];
-/// Twice the distance that the emitter's place contributes, metres.
+/// Twice the distance from camera to emitter, metres. The square of the distance is left out of the light's way, as the ranging of
+/// libfreenect2 leaves it out.
 const EMITTER_TERM_M: f64 = 0.090;
 /// Radians per unit of a phase table.
 const RADIANS_PER_UNIT: f64 = 0.000031 * PI;

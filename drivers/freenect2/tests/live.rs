@@ -142,6 +142,29 @@ fn bad_packets_are_dropped_and_counted() {
         lost: 2,
     };
     assert_eq!(camera.counts(), expected);
+    assert_eq!(camera.n_missed(), 3);
+}
+
+#[test]
+fn bad_packets_alone_are_a_device_that_is_gone() {
+    let unit = Unit::plug("live-useless", answers());
+    let options = LiveOptions {
+        max_without_good: Duration::from_millis(200),
+        ..options("live-useless")
+    };
+    let mut camera = open(options).unwrap();
+    let whole = vec![0; PACKET_BYTES];
+    assert!(send(&unit, &whole, 1));
+    grab(&mut camera);
+    let start = Instant::now();
+    let error = loop {
+        send(&unit, &whole[..1000], 2);
+        match camera.grab(Duration::from_millis(5)) {
+            Err(CameraError::Timeout { .. }) if start.elapsed() < PATIENCE => {}
+            other => break other.unwrap_err(),
+        }
+    };
+    assert_eq!(error, CameraError::Disconnected);
 }
 
 #[test]
@@ -165,9 +188,19 @@ fn silence_is_unplugging_and_the_device_comes_back_by_serial() {
             Err(CameraError::Timeout { .. })
         ));
         unit.replug();
+        // The first packet is cut, which makes the gap no shorter.
+        while !send(&unit, &bytes[..1000], 0) {
+            let away = camera.grab(Duration::from_millis(1)).unwrap_err();
+            assert!(away.is_recoverable() && start.elapsed() < PATIENCE);
+        }
         let frame = grab_patiently(&mut camera, &unit, &bytes);
         assert!(frame.frame_id > last.frame_id);
-        assert!(frame.device_time_secs > last.device_time_secs);
+        let by_device = frame.device_time_secs - last.device_time_secs;
+        let by_host = (frame.host_time - last.host_time).as_secs_f64();
+        assert!(
+            (by_device - by_host).abs() < 1e-5,
+            "{by_device} s, {by_host} s"
+        );
         assert_eq!(unit.n_open(), 1);
         last = frame;
     }
@@ -187,6 +220,18 @@ fn a_device_that_sends_nothing_is_given_up() {
     );
     assert!(start.elapsed() >= Duration::from_millis(250));
     assert!(start.elapsed() < PATIENCE / 2);
+}
+
+#[test]
+fn an_opening_that_does_not_end_is_told() {
+    let unit = Unit::plug("live-stuck", answers());
+    let options = LiveOptions {
+        open_timeout: Duration::from_millis(20),
+        ..options("live-stuck")
+    };
+    let error = unit.while_stuck(|| open(options).unwrap_err());
+    let expected = CameraError::Unresponsive("opening has taken 0.02 s".to_owned());
+    assert_eq!(error, expected);
 }
 
 #[test]

@@ -40,9 +40,6 @@ const OBJECT: &str = "object";
 /// Larger images than any depth camera delivers: a wrong size must not ask for gigabytes.
 const MAX_SIDE_PX: usize = 16_384;
 
-/// A light further from the camera is not the near light that shading needs.
-const MAX_LIGHT_DISTANCE_M: f64 = 2.0;
-
 /// The contents of `session.toml`; keys that are not named here are for other readers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SessionFile {
@@ -175,15 +172,7 @@ impl SessionFile {
 
 impl LightEntry {
     fn light(&self) -> Result<Light, String> {
-        for value in self.position {
-            check_finite("light.position", value)?;
-        }
-        let distance_m = self.position.iter().map(|x| x * x).sum::<f64>().sqrt();
-        if distance_m > MAX_LIGHT_DISTANCE_M {
-            return Err(format!(
-                "light.position is {distance_m} m from the camera, must be at most {MAX_LIGHT_DISTANCE_M} m"
-            ));
-        }
+        Light::check_position("light.position", self.position)?;
         let kind = [LightKind::Emitter, LightKind::Lamp]
             .into_iter()
             .find(|kind| kind.name() == self.kind)

@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 struct Script {
     info: CameraInfo,
     answers: VecDeque<Result<Option<Frame>, CameraError>>,
+    n_grabs: u64,
 }
 
 impl DepthCamera for Script {
@@ -16,8 +17,14 @@ impl DepthCamera for Script {
     }
 
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        self.n_grabs += 1;
         let silence = Err(CameraError::Timeout { waited: timeout });
         self.answers.pop_front().unwrap_or(silence)
+    }
+
+    /// Ten with each call.
+    fn n_missed(&self) -> u64 {
+        10 * self.n_grabs
     }
 }
 
@@ -58,6 +65,7 @@ fn run_with(
             ..SimulatedCamera::kinect2_plaque(1, 0).info().clone()
         },
         answers: answers.into(),
+        n_grabs: 0,
     };
     let mut sink = Sink::default();
     let stop = AtomicBool::new(false);
@@ -158,6 +166,25 @@ fn a_live_camera_that_was_unplugged_is_awaited_and_carries_on() {
     assert_eq!(summary.n_frames, 5);
     assert_eq!(sink.frames, [5, 6, 7, 8, 9], "numbers go on");
     assert_eq!(sink.health, [Stalled, Streaming, Gone, Streaming]);
+}
+
+#[test]
+fn what_the_driver_misses_is_counted_while_frames_are_waited_for() {
+    let gone = || Err(CameraError::Disconnected);
+    let answers = vec![
+        timeout(),
+        frame(0),
+        frame(1),
+        timeout(),
+        gone(),
+        timeout(),
+        frame(2),
+        frame(3),
+        Ok(None),
+    ];
+    let (summary, _) = run_with(&patient(1000.0), None, answers);
+    // Three calls after the first frame, until it is told to be gone, and two after the first one that is back.
+    assert_eq!(summary.n_missed, 50);
 }
 
 #[test]

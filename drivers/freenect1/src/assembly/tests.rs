@@ -88,6 +88,8 @@ fn damaged_depth_costs_the_frame_and_damaged_infrared_itself() {
     );
     assert_eq!((statistics.ir.n_whole, statistics.ir.n_damaged), (1, 1));
     assert_eq!(statistics.depth.n_packets_lost, 2);
+    // Of depth a damaged frame has told.
+    assert_eq!(statistics.n_missed(), 1);
 }
 
 #[test]
@@ -125,6 +127,20 @@ fn infrared_whose_stamps_stand_still_is_not_paired_by_arrival_before_they_can_mo
     let pair = the_frame(ir(&mut assembler, 4_000_000, at(40), &[]));
     assert_eq!(pair.disparity.unwrap().data()[0], 4_000_000_u32 as u16);
     assert_eq!(pair.ir.unwrap().data()[0], 4_000_000_u32 as u16);
+    // So streams begin.
+    assert_eq!(assembler.statistics().n_missed(), 0);
+}
+
+#[test]
+fn infrared_without_its_depth_is_missed() {
+    let (mut assembler, now) = started();
+    for n in 0..3 {
+        depth(&mut assembler, 2_000_000 * n, now, &[]);
+        the_frame(ir(&mut assembler, 2_000_000 * n, now, &[]));
+    }
+    assert!(ir(&mut assembler, 6_000_000, now, &[]).is_empty());
+    assert!(ir(&mut assembler, 8_000_000, now, &[]).is_empty());
+    assert_eq!(assembler.statistics().n_missed(), 1, "one still waits");
 }
 
 #[test]

@@ -124,6 +124,14 @@ fn a_spoilt_image_costs_its_moment_and_a_spoilt_device_the_recording() {
             text.replace("ir_offset_px = [4.25", "ir_offset_px = [400.0"),
             "ir_offset_px is [400",
         ),
+        (
+            text.replace("[0.12, 0.0", "[nan, 0.0"),
+            "lamp_position_m is NaN, must be finite",
+        ),
+        (
+            text.replace("[0.12, 0.0", "[50.0, 0.0"),
+            "must be at most 2 m",
+        ),
         (text.replace("ir_gain = 21\n", ""), "ir_gain"),
     ] {
         assert_ne!(spoilt, text);

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use depth_camera::CameraError;
+use depth_camera::{CameraError, DepthCamera};
 use freenect1::{
     Freenect1Camera, Settings,
     streams::{ProjectorState, Streams},
@@ -164,6 +164,7 @@ fn a_slow_reader_gets_the_newest_frames() {
             eprintln!("{n_overrun} frames made room, the oldest left is {age:?} old");
             assert!(age < Duration::from_millis(400), "{age:?}");
             assert!(n_overrun >= 15 && next.frame_id > first.frame_id + 15);
+            assert!(camera.n_missed() >= n_overrun);
             assert_bit_exact(&next);
         },
     );

@@ -47,6 +47,33 @@ fn unplugging_is_noticed_at_once_and_plugging_in_goes_on() {
     });
 }
 
+/// As the later models, whose audio part is reset.
+#[test]
+fn a_device_that_takes_long_to_open_when_it_is_back_is_waited_for() {
+    let test = "unplugging::a_device_that_takes_long_to_open_when_it_is_back_is_waited_for";
+    on_stand_in(test, &[""], |root| {
+        let settings = Settings {
+            search_interval: SECOND / 10,
+            ..Settings::default()
+        };
+        let mut camera = Freenect1Camera::open(None, settings).unwrap();
+        next_whole(&mut camera);
+        raise(root, "unplugged");
+        let (error, _) = next_failure(&mut camera, 5 * SECOND);
+        assert_eq!(error, CameraError::Disconnected);
+        raise(root, "wedged");
+        lower(root, "unplugged");
+        // Longer than a call to a device that streams may take.
+        let opening = camera.grab_raw(4 * SECOND);
+        assert!(
+            matches!(opening, Err(CameraError::Timeout { .. })),
+            "{opening:?}"
+        );
+        lower(root, "wedged");
+        assert_bit_exact(&next_whole(&mut camera));
+    });
+}
+
 #[test]
 fn fifty_times_leave_nothing_behind() {
     on_stand_in(

@@ -14,6 +14,7 @@ use udev_monitor::{Action, UsbMonitor};
 
 use super::{
     device_thread::{DeviceThread, Reopen, Report},
+    listening::Listening,
     shim::Library,
     slot::{PacketCounts, PacketSlot, Stamped},
 };
@@ -24,7 +25,7 @@ use crate::{
     recording::DeviceRecord,
 };
 
-/// How often udev is listened to while something is awaited.
+/// How often udev and the device's silence are listened to while something is awaited.
 const LISTEN_INTERVAL: Duration = Duration::from_millis(20);
 
 /// How a live device is used.
@@ -40,6 +41,8 @@ pub struct LiveOptions {
     pub first_packet_timeout: Duration,
     /// Silence after which the device counts as unplugged, which is all that libfreenect2 lets see: 15 frames.
     pub max_silence: Duration,
+    /// How long packets may come of which none is whole and in order, before the device counts as unplugged.
+    pub max_without_good: Duration,
     /// How often an unplugged device is looked for.
     pub reopen_interval: Duration,
     /// How long closing may take before the thread that waits for it is left behind.
@@ -54,6 +57,7 @@ impl Default for LiveOptions {
             open_timeout: Duration::from_secs(10),
             first_packet_timeout: Duration::from_secs(3),
             max_silence: Duration::from_millis(500),
+            max_without_good: Duration::from_secs(3),
             reopen_interval: Duration::from_millis(500),
             close_timeout: Duration::from_secs(2),
         }
@@ -63,8 +67,9 @@ impl Default for LiveOptions {
 /// A live Kinect II.
 ///
 /// `grab` decodes the newest packet; older ones that nobody took are left out, and `frame_id` counts them and those that were
-/// lost. Silence, or udev's word that the device has gone, ends in one [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab`
-/// gives [`CameraError::Timeout`] until it is back, and the stream goes on with higher `frame_id`s and later times.
+/// lost. Silence, some seconds without a good packet, or udev's word that the device has gone, ends in one
+/// [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab` gives [`CameraError::Timeout`] until
+/// it is back, and the stream goes on with higher `frame_id`s and later times.
 #[derive(Debug)]
 pub struct Freenect2Camera {
     info: CameraInfo,
@@ -73,8 +78,8 @@ pub struct Freenect2Camera {
     decoder: FrameDecoder,
     slot: Arc<PacketSlot>,
     packet: Stamped,
-    /// When the present stream began; `None` while the device is gone.
-    streaming_since: Option<Instant>,
+    /// The time with the present stream; `None` while the device is gone.
+    listening: Option<Listening>,
     /// Tells of unplugging before silence does, and of plugging in before it is looked for again.
     monitor: Option<UsbMonitor>,
     /// Taken when the camera is dropped, which ends the thread.
@@ -88,8 +93,8 @@ impl Freenect2Camera {
     ///
     /// # Errors
     /// [`CameraError::Disconnected`] without such a device, [`CameraError::Busy`], [`CameraError::PermissionDenied`],
-    /// [`CameraError::Timeout`] if the library does not answer, [`CameraError::Invalid`] for options or a calibration that
-    /// make no sense, and with the library's own words for all else.
+    /// [`CameraError::Unresponsive`] if the library does not answer in time, [`CameraError::Invalid`] for options or a calibration
+    /// that make no sense, and with the library's own words for all else.
     pub fn open(library: Library, options: LiveOptions) -> Result<Self, CameraError> {
         let slot = Arc::new(PacketSlot::new());
         // One of each is under way at most; a second command has nothing to add.
@@ -107,7 +112,14 @@ impl Freenect2Camera {
             .name("k2-device".to_owned())
             .spawn(|| device.run())
             .map_err(|error| CameraError::Invalid(format!("no thread for the device: {error}")))?;
-        let record = wait_for_report(&reports, options.open_timeout)?;
+        let record = match wait_for_report(&reports, options.open_timeout) {
+            Err(CameraError::Timeout { waited }) => {
+                let secs = waited.as_secs_f64();
+                let what = format!("opening has taken {secs} s");
+                return Err(CameraError::Unresponsive(what));
+            }
+            report => report?,
+        };
         Ok(Freenect2Camera {
             info: frames::camera_info(&record.serial, &record.ir_parameters, None),
             decoder: decoder_of(&record, options.decoder)?,
@@ -115,7 +127,7 @@ impl Freenect2Camera {
             options,
             slot,
             packet: Stamped::empty(),
-            streaming_since: Some(Instant::now()),
+            listening: Some(Listening::begin(Instant::now())),
             monitor: None,
             commands: Some(commands),
             reports,
@@ -172,21 +184,30 @@ impl Freenect2Camera {
             self.info = frames::camera_info(&record.serial, &record.ir_parameters, None);
             self.record = record;
         }
-        self.streaming_since = Some(Instant::now());
+        self.listening = Some(Listening::begin(Instant::now()));
         Ok(())
     }
 
-    /// When a stream that began then counts as unplugged.
-    fn silent_at(&self, streaming_since: Instant) -> Instant {
-        match self.slot.last_arrival() {
-            Some(last) if last >= streaming_since => last + self.options.max_silence,
-            _ => streaming_since + self.options.first_packet_timeout,
+    /// Waits until then for the newest packet.
+    fn take(&mut self, until: Instant) -> bool {
+        let is_taken = self.slot.take(&mut self.packet, until);
+        if let Some(listening) = &mut self.listening {
+            listening.turn(Instant::now());
         }
+        is_taken
+    }
+
+    /// Whether the device counts as unplugged, by udev's word or by what comes from it: bad packets are a sign of life for a while.
+    fn is_gone(&mut self) -> bool {
+        let is_removed = self.heard() == Some(Action::Removed);
+        let (heard, now) = (self.slot.heard(), Instant::now());
+        let is_silent = |listening: Listening| listening.is_gone(now, heard, &self.options);
+        is_removed || self.listening.is_none_or(is_silent)
     }
 
     /// Gives the device up and has it looked for.
     fn disconnect(&mut self) -> CameraError {
-        self.streaming_since = None;
+        self.listening = None;
         self.look_for_device();
         CameraError::Disconnected
     }
@@ -223,32 +244,14 @@ impl DepthCamera for Freenect2Camera {
 
     fn grab(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         let deadline = Instant::now() + timeout;
-        let streaming_since = match self.streaming_since {
-            Some(since) => since,
-            None => {
-                self.wait_for_return(timeout)?;
-                Instant::now()
-            }
-        };
-        loop {
-            let next_look = match self.monitor {
-                Some(_) => Instant::now() + LISTEN_INTERVAL,
-                None => deadline,
-            };
-            let silent_at = self.silent_at(streaming_since);
-            let until = deadline.min(silent_at).min(next_look);
-            if self.slot.take(&mut self.packet, until) {
-                break;
-            }
-            if self.heard() == Some(Action::Removed) {
+        if self.listening.is_none() {
+            self.wait_for_return(timeout)?;
+        }
+        while !self.take(deadline.min(Instant::now() + LISTEN_INTERVAL)) {
+            if self.is_gone() {
                 return Err(self.disconnect());
             }
-            let now = Instant::now();
-            // Damaged packets may have come meanwhile: they are a sign of life.
-            if now >= self.silent_at(streaming_since) {
-                return Err(self.disconnect());
-            }
-            if now >= deadline {
+            if Instant::now() >= deadline {
                 return Err(CameraError::Timeout { waited: timeout });
             }
         }
@@ -259,6 +262,10 @@ impl DepthCamera for Freenect2Camera {
             whole_microseconds(self.packet.device_time_secs),
             self.packet.host_time,
         )))
+    }
+
+    fn n_missed(&self) -> u64 {
+        self.counts().n_missed()
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod camera;
 mod device_thread;
+mod listening;
 mod shim;
 mod slot;
 mod sync;

@@ -14,6 +14,10 @@ use crate::packet::PACKET_BYTES;
 /// Seconds of one tick of the device's clock.
 const TICK_SECS: f64 = 0.000_125;
 
+/// After so many packets in a row, a second's, whose numbers are behind that of the last good one, the device has begun to number
+/// anew; arbitrary.
+const MAX_BEHIND: u32 = 30;
+
 /// What became of the packets of a device, since the camera was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PacketCounts {
@@ -29,6 +33,22 @@ pub struct PacketCounts {
     pub out_of_order: u64,
     /// Never seen: gaps in the numbers.
     pub lost: u64,
+}
+
+impl PacketCounts {
+    /// Frames that nobody got: packets that were replaced, and gaps in the numbers, which bad packets leave too.
+    pub fn n_missed(&self) -> u64 {
+        self.superseded + self.lost
+    }
+}
+
+/// When a device was heard of last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Heard {
+    /// Be it by a bad packet.
+    pub any: Option<Instant>,
+    /// By a good one.
+    pub good: Option<Instant>,
 }
 
 /// A packet as the library hands it on.
@@ -81,7 +101,9 @@ struct State {
     /// Position and time of the last good packet, over all streams.
     position: Option<u64>,
     device_time_secs: f64,
-    last_arrival: Option<Instant>,
+    heard: Heard,
+    /// Packets since the last good one whose numbers are behind its number.
+    n_behind: u32,
     counts: PacketCounts,
 }
 
@@ -98,7 +120,8 @@ impl PacketSlot {
                 last: None,
                 position: None,
                 device_time_secs: 0.0,
-                last_arrival: None,
+                heard: Heard::default(),
+                n_behind: 0,
                 counts: PacketCounts::default(),
             }),
             arrived: Condvar::new(),
@@ -141,9 +164,9 @@ impl PacketSlot {
         true
     }
 
-    /// When the device was last heard of, be it by a damaged packet.
-    pub fn last_arrival(&self) -> Option<Instant> {
-        lock(&self.state).last_arrival
+    /// When the device was heard of last, over all streams.
+    pub fn heard(&self) -> Heard {
+        lock(&self.state).heard
     }
 
     pub fn counts(&self) -> PacketCounts {
@@ -154,6 +177,7 @@ impl PacketSlot {
     pub fn begin_stream(&self) {
         let mut state = lock(&self.state);
         state.last = None;
+        state.n_behind = 0;
         state.fresh = false;
     }
 }
@@ -161,10 +185,7 @@ impl PacketSlot {
 impl State {
     /// Judges a packet and gives a good one its place and time.
     fn admit(&mut self, packet: Incoming<'_>, host_time: Instant) -> Option<(u64, f64)> {
-        let silent = self
-            .last_arrival
-            .map_or(Duration::ZERO, |last| host_time - last);
-        self.last_arrival = Some(host_time);
+        self.heard.any = Some(host_time);
         if packet.bytes.len() != PACKET_BYTES {
             self.counts.truncated += 1;
             return None;
@@ -177,17 +198,22 @@ impl State {
             Some((sequence, timestamp)) => {
                 let steps = packet.sequence.wrapping_sub(sequence);
                 if steps == 0 || steps > u32::MAX / 2 {
-                    self.counts.out_of_order += 1;
+                    self.out_of_order(steps);
                     return None;
                 }
                 let ticks = packet.timestamp.wrapping_sub(timestamp);
                 (steps, f64::from(ticks) * TICK_SECS)
             }
-            // The device's clock begins anew with a stream; it goes on from the last by this machine's.
-            None => (1, silent.as_secs_f64().max(TICK_SECS)),
+            // The device's clock begins anew with a stream; it goes on from the last good packet by this machine's.
+            None => {
+                let last = self.heard.good.unwrap_or(host_time);
+                (1, (host_time - last).as_secs_f64().max(TICK_SECS))
+            }
         };
         self.counts.lost += u64::from(steps - 1);
         self.counts.good += 1;
+        self.heard.good = Some(host_time);
+        self.n_behind = 0;
         self.last = Some((packet.sequence, packet.timestamp));
         let position = self.position.map_or(0, |last| last + u64::from(steps));
         if self.position.is_some() {
@@ -197,6 +223,16 @@ impl State {
         }
         self.position = Some(position);
         Some((position, self.device_time_secs))
+    }
+
+    /// Counts a packet whose number is so many steps from the last good one's, modulo all numbers: none, or backwards.
+    fn out_of_order(&mut self, steps: u32) {
+        self.counts.out_of_order += 1;
+        // One number over and over is no stream.
+        self.n_behind += u32::from(steps != 0);
+        if self.n_behind >= MAX_BEHIND {
+            self.last = None;
+        }
     }
 }
 
@@ -300,6 +336,39 @@ mod tests {
         assert!((mine.device_time_secs - start_secs - 266.0 * TICK_SECS).abs() < 1e-9);
         assert_eq!(slot.counts().lost, 1);
         assert!(!slot.take(&mut mine, Instant::now()));
+    }
+
+    #[test]
+    fn a_device_that_numbers_anew_is_believed_after_a_while() {
+        check_random(numbers_anew, 1);
+    }
+
+    fn numbers_anew() {
+        let (slot, bytes) = (PacketSlot::new(), vec![1; PACKET_BYTES]);
+        let mut mine = Stamped::empty();
+        let mut taken = |numbers: &mut dyn Iterator<Item = u32>| {
+            let mut positions = Vec::new();
+            for number in numbers {
+                offer(&slot, &bytes, 266 * number, number);
+                if slot.take(&mut mine, Instant::now()) {
+                    positions.push((mine.position, mine.device_time_secs));
+                }
+            }
+            positions
+        };
+        let first = taken(&mut [1000].into_iter());
+        // One that is in order between them, and the others are late, that is all.
+        let in_order = taken(&mut (0..MAX_BEHIND - 1).chain([1001]));
+        assert_eq!((first[0].0, in_order.len(), in_order[0].0), (0, 1, 1));
+        let anew = taken(&mut (0..MAX_BEHIND + 2));
+        assert_eq!(anew.iter().map(|(n, _)| *n).collect::<Vec<_>>(), [2, 3]);
+        assert!(anew[0].1 > in_order[0].1, "device time goes on");
+        assert!((anew[1].1 - anew[0].1 - 266.0 * TICK_SECS).abs() < 1e-9);
+        // One number over and over is no reason to begin anew.
+        assert!(taken(&mut [MAX_BEHIND + 1; 100].into_iter().chain([5])).is_empty());
+        let n_refused = u64::from(2 * MAX_BEHIND - 1 + 101);
+        assert_eq!(slot.counts().out_of_order, n_refused);
+        assert_eq!(slot.counts().lost, 0);
     }
 
     #[test]
