@@ -1,8 +1,8 @@
 //! Relief: a hand-held Kinect scan in, a mesh with detail far below the depth sensor's noise out.
 //!
-//! The pipeline reads from top to bottom: [`geometry`] and [`shading`] are what everything is built on, then
-//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages, and `control` knows only `pipeline`
-//! and [`jobs`], which refines beside capture.
+//! The pipeline reads from top to bottom: [`geometry`], [`shading`] and [`robust`] are what everything is built on, then
+//! capture → fusion → snapshot → refine → export. Only `pipeline` knows all the stages: [`control`] steers and shows them
+//! by it, and lets [`jobs`] refine beside capture.
 #![forbid(unsafe_code)]
 
 pub mod atomic_file;
@@ -21,5 +21,6 @@ pub mod lock;
 pub mod multipath;
 pub mod pipeline;
 pub mod refine;
+pub mod robust;
 pub mod shading;
 pub mod snapshot;

@@ -5,7 +5,10 @@
 
 use super::surface_samples::{Oriented, sample};
 use super::truth::Truth;
-use crate::geometry::{CameraModel, PointGrid, Pose, TriMesh, TriangleBvh, increment};
+use crate::geometry::{
+    CameraModel, PointGrid, Pose, TriMesh, TriangleBvh, increment, point_to_plane_row,
+};
+use crate::robust::median;
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -181,10 +184,8 @@ fn align(truth: &Truth, points: &[Point3<f64>]) -> Pose {
                 let moved = aligned * point;
                 let closest = truth.closest(&moved, MAX_DISTANCE_M)?;
                 let residual = (moved - closest.point).dot(&closest.normal);
-                let turn = moved.coords.cross(&closest.normal);
                 let weight = 1.0 / (1.0 + (residual / ROBUST_M).powi(2));
-                let n = closest.normal;
-                let row = Vector6::new(turn.x, turn.y, turn.z, n.x, n.y, n.z);
+                let row = point_to_plane_row(&moved.coords, &closest.normal);
                 Some((row, residual, weight))
             })
             .collect();
@@ -226,11 +227,8 @@ fn figures(compared: &[Compared], completeness: f64) -> SurfaceError {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let root_mean_square =
         |values: &[f64]| mean(&values.iter().map(|x| x * x).collect::<Vec<_>>()).sqrt();
-    let median = |values: &[f64]| {
-        let mut sorted = values.to_vec();
-        let middle = sorted.len() / 2;
-        *sorted.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
+    // A copy, since its order changes, and sums go by it.
+    let median = |values: &[f64]| median(&mut values.to_vec()).unwrap_or(0.0);
     let distances: Vec<f64> = compared.iter().map(|point| point.distance_m).collect();
     let angles: Vec<f64> = compared.iter().map(|point| point.angle_rad).collect();
     SurfaceError {

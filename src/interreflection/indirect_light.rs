@@ -5,7 +5,7 @@
 //! what a perfectly white surface would show of it, so that the derivative by the normal stays what it is. It varies slowly,
 //! and is known on cells of the image.
 
-use super::sources::{MIN_DISTANCE_M, Sources};
+use super::sources::{Sources, Way};
 use super::{LitScene, WhiteLevel};
 use crate::geometry::lanes::{LANES, Lane};
 use crate::geometry::{CellGrid, DepthPatch, RayGrid};
@@ -86,23 +86,22 @@ impl WithSimd for Arriving<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Vector3<f32> {
-        let ([px, py, pz], [nx, ny, nz]): ([f32; 3], [f32; 3]) =
-            (self.point.into(), self.normal.into());
+        let (point, normal) = (self.point.into(), self.normal.into());
         let mut sums = [[0.0f32; LANES]; 3];
-        for [x, y, z, mx, my, mz, power, _] in self.sources.steps() {
+        for step in self.sources.steps() {
+            #[allow(
+                clippy::needless_range_loop,
+                reason = "one index runs through all the lanes, which is what becomes vector code"
+            )]
             for i in 0..LANES {
-                let (dx, dy, dz) = (x[i] - px, y[i] - py, z[i] - pz);
-                let squared = dx * dx + dy * dy + dz * dz;
-                let here = nx * dx + ny * dy + nz * dz;
-                let there = -(mx[i] * dx + my[i] * dy + mz[i] * dz);
-                let there = if here > 0.0 && there > 0.0 {
-                    there
+                let way = Way::new(step, i, point, normal);
+                let there = if way.here > 0.0 && way.there > 0.0 {
+                    way.there
                 } else {
                     0.0
                 };
-                let nearest = MIN_DISTANCE_M * MIN_DISTANCE_M;
-                let apart = if squared > nearest { squared } else { nearest };
-                let sent = power[i] * there / (apart * apart);
+                let sent = way.power * there / way.to_the_fourth;
+                let [dx, dy, dz] = way.across;
                 sums[0][i] += sent * dx;
                 sums[1][i] += sent * dy;
                 sums[2][i] += sent * dz;

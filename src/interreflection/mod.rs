@@ -16,8 +16,9 @@ mod support;
 pub use indirect_light::IndirectLight;
 pub use patches::{Lit, PatchGrid, Radiances};
 pub use receivers::{Receiver, receivers};
-pub use sources::{MIN_DISTANCE_M, Sources};
+pub use sources::{MIN_DISTANCE_M, Sources, Way};
 
+use crate::robust::quantile;
 use depth_camera::Image;
 use std::f64::consts::PI;
 
@@ -81,10 +82,8 @@ impl LitScene {
     /// The white level at which the bright patches have the albedo of plaster; `None` where next to nothing is seen.
     pub fn plausible_white(&self) -> Option<WhiteLevel> {
         let seen = self.patches.iter().flatten();
-        let mut reflected: Vec<f32> = seen.map(|patch| patch.radiance / patch.direct).collect();
-        let index = (BRIGHT_QUANTILE * reflected.len() as f64) as usize;
-        let (_, bright, _) = (index < reflected.len())
-            .then(|| reflected.select_nth_unstable_by(index, f32::total_cmp))?;
-        (*bright > 0.0).then(|| WhiteLevel(f64::from(*bright) / BRIGHT_ALBEDO))
+        let reflected = seen.map(|patch| f64::from(patch.radiance / patch.direct));
+        let bright = quantile(&mut reflected.collect::<Vec<_>>(), BRIGHT_QUANTILE)?;
+        (bright > 0.0).then(|| WhiteLevel(bright / BRIGHT_ALBEDO))
     }
 }

@@ -1,7 +1,7 @@
 //! What a frame shows, as patches that are lit and light one another.
 
 use crate::geometry::{CellGrid, DepthPatch, RayGrid};
-use crate::shading::{Calibration, NearLight};
+use crate::shading::{Calibration, NearLight, SATURATION};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -32,8 +32,6 @@ const STEP_PX: usize = 4;
 const PLACE_COLUMNS: usize = 128;
 /// Pixels between those of them that are looked at.
 pub const PLACE_STEP_PX: usize = 2;
-/// A place that holds a pixel this bright, share of full scale, may be brighter than it shows.
-const SATURATION: f64 = 0.985;
 /// Light that comes in more slantingly is taken to come in at this cosine: the normal of a patch is not known better.
 const MIN_INCIDENCE_COSINE: f64 = 0.15;
 

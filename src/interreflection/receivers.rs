@@ -8,7 +8,7 @@
 
 use super::patches::{Lit, PLACE_STEP_PX, PatchGrid};
 use crate::geometry::CellGrid;
-use crate::shading::{Tukey, median};
+use crate::robust::{Tukey, median};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -179,7 +179,7 @@ mod tests {
     use crate::geometry::RayGrid;
     use crate::geometry::camera::tests::distorted_camera;
     use crate::shading::Calibration;
-    use depth_camera::{Light, LightKind, Sensor};
+    use depth_camera::Sensor;
 
     const FULL_SCALE: f64 = 65535.0;
     /// How far the whole plane is turned out of the image's, radians.
@@ -193,10 +193,7 @@ mod tests {
     /// how much light arrives over how much would by the tilt, and relative brightness, of places off the border.
     fn seen(albedo: impl Fn(usize) -> f64, turn: impl Fn(usize) -> f64) -> Vec<(f64, f64)> {
         let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
-        let light = calibration.light.near_light(&Light {
-            position_m: [0.05, 0.0, 0.0],
-            kind: LightKind::Emitter,
-        });
+        let light = calibration.light.near_light([0.05, 0.0, 0.0]);
         let rays = RayGrid::new(distorted_camera());
         let (width, height) = (rays.rays().width(), rays.rays().height());
         let normal = turned(TILT);

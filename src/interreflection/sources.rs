@@ -39,3 +39,48 @@ impl Sources {
         &self.steps
     }
 }
+
+/// How a source lies to a place that it lights.
+#[derive(Clone, Copy)]
+pub struct Way {
+    /// From the place to the source, metres.
+    pub across: [f32; 3],
+    /// The square of that length.
+    pub squared: f32,
+    /// Cosine at the place times that length; negative below its horizon.
+    pub here: f32,
+    /// The same at the source.
+    pub there: f32,
+    /// Fourth power of the length, of [`MIN_DISTANCE_M`] at least: with it the cosines become those of unit vectors, and light fades.
+    pub to_the_fourth: f32,
+    /// Radiance times area of the source, m².
+    pub power: f32,
+    /// Distance of the source to the light, metres.
+    pub light_m: f32,
+}
+
+impl Way {
+    /// The way from a place with its unit normal to the source in a lane of a step.
+    #[inline(always)]
+    pub fn new(
+        step: &[Lane; N_COORDINATES],
+        lane: usize,
+        [px, py, pz]: [f32; 3],
+        [nx, ny, nz]: [f32; 3],
+    ) -> Self {
+        let [x, y, z, mx, my, mz, power, light_m] = step;
+        let (dx, dy, dz) = (x[lane] - px, y[lane] - py, z[lane] - pz);
+        let squared = dx * dx + dy * dy + dz * dz;
+        let nearest = MIN_DISTANCE_M * MIN_DISTANCE_M;
+        let apart = if squared > nearest { squared } else { nearest };
+        Way {
+            across: [dx, dy, dz],
+            squared,
+            here: nx * dx + ny * dy + nz * dz,
+            there: -(mx[lane] * dx + my[lane] * dy + mz[lane] * dz),
+            to_the_fourth: apart * apart,
+            power: power[lane],
+            light_m: light_m[lane],
+        }
+    }
+}

@@ -4,13 +4,12 @@
 //! Without it the recorded bust and sphere keep 1.3 and 1.0 mm of error wherever they see the table at all.
 
 use super::patches::{Lit, PatchGrid};
+use crate::geometry::Plane;
+use crate::robust::median;
 use nalgebra::{Point3, Vector3};
 
-/// Patches belong to the plane within this distance, metres, and within this cosine of its normal.
+/// Patches belong to the plane within this distance, metres.
 const ON_PLANE_M: f64 = 0.012;
-const ALONG_PLANE_COSINE: f64 = 0.94;
-/// Fewer patches on it and there is no plane to go by.
-const MIN_SHARE: f64 = 0.15;
 /// How far the plane is taken to reach from below what is seen, metres: farther off it adds nothing that shows.
 const REACH_M: f64 = 0.6;
 /// Side of the squares that it is cut into, metres.
@@ -18,10 +17,10 @@ const SQUARE_M: f64 = 0.04;
 
 /// Squares of the plane that most patches lie on, as bright as its visible part, where the image does not show it.
 pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
-    let Some(plane) = Plane::of_most(patches) else {
+    let Some(support) = Support::of_most(patches) else {
         return Vec::new();
     };
-    let [along, across] = directions_in(&plane.normal);
+    let [along, across] = directions_in(&support.normal);
     let n_half = (REACH_M / SQUARE_M) as i32;
     let offsets = (-n_half..n_half).map(|k| (f64::from(k) + 0.5) * SQUARE_M);
     let squares = offsets
@@ -35,11 +34,11 @@ pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
             .is_none_or(|pixel| !camera.contains(&pixel, margin_px))
     };
     squares
-        .map(|offset| plane.below + offset)
+        .map(|offset| support.below + offset)
         .filter(is_hidden)
         .filter_map(|point| {
-            let square = grid.lit(&point, &plane.normal, SQUARE_M * SQUARE_M, 0.0)?;
-            let radiance = plane.reflected * square.direct;
+            let square = grid.lit(&point, &support.normal, SQUARE_M * SQUARE_M, 0.0)?;
+            let radiance = support.reflected * square.direct;
             Some(Lit { radiance, ..square })
         })
         .collect()
@@ -54,9 +53,9 @@ fn directions_in(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [along, normal.cross(&along)]
 }
 
-/// A plane, camera frame.
-struct Plane {
-    /// Where the middle of all that is seen stands on it.
+/// What things stand on, camera frame.
+struct Support {
+    /// Where the middle of all that is seen stands on its plane.
     below: Point3<f64>,
     /// Unit normal towards the camera.
     normal: Vector3<f64>,
@@ -64,45 +63,48 @@ struct Plane {
     reflected: f32,
 }
 
-impl Plane {
+impl Support {
     /// The plane that most patches lie on. Every patch is tried; the best one's companions make the plane.
     fn of_most(patches: &[Option<Lit>]) -> Option<Self> {
-        let seen: Vec<(Vector3<f64>, Vector3<f64>, f32)> = patches
+        let seen: Vec<(Point3<f64>, Vector3<f64>, f32)> = patches
             .iter()
             .flatten()
             .map(|patch| {
-                let [point, normal] = [patch.point, patch.normal].map(|v| Vector3::from(v).cast());
-                (point, normal, patch.radiance / patch.direct)
+                let [point, normal] =
+                    [patch.point, patch.normal].map(|v| Vector3::from(v).cast::<f64>());
+                (Point3::from(point), normal, patch.radiance / patch.direct)
             })
             .collect();
-        let on = |point: &Vector3<f64>, normal: &Vector3<f64>| {
-            let (point, normal) = (*point, *normal);
-            seen.iter().filter(move |(p, n, _)| {
-                normal.dot(&(p - point)).abs() < ON_PLANE_M && normal.dot(n) > ALONG_PLANE_COSINE
-            })
+        let on = |point: &Point3<f64>, normal: &Vector3<f64>| {
+            let plane = Plane::through(point, *normal);
+            seen.iter()
+                .filter(move |(p, n, _)| plane.holds(p, n, ON_PLANE_M))
         };
         let (point, normal, _) = seen
             .iter()
             .max_by_key(|(point, normal, _)| on(point, normal).count())?;
         let companions: Vec<_> = on(point, normal).collect();
-        if (companions.len() as f64) < MIN_SHARE * patches.len() as f64 {
+        if (companions.len() as f64) < Plane::SUPPORT_SHARE * patches.len() as f64 {
             return None;
         }
         let n = companions.len() as f64;
-        let middle = companions.iter().map(|(p, ..)| p).sum::<Vector3<f64>>() / n;
+        let middle = companions
+            .iter()
+            .map(|(p, ..)| p.coords)
+            .sum::<Vector3<f64>>()
+            / n;
         let normal = companions
             .iter()
             .map(|(_, n, _)| n)
             .sum::<Vector3<f64>>()
             .try_normalize(0.0)?;
-        let mut reflected: Vec<f32> = companions.iter().map(|(.., share)| *share).collect();
-        let (_, reflected, _) =
-            reflected.select_nth_unstable_by(companions.len() / 2, f32::total_cmp);
-        let all = seen.iter().map(|(p, ..)| p).sum::<Vector3<f64>>() / seen.len() as f64;
-        Some(Plane {
+        let shares = companions.iter().map(|(.., share)| f64::from(*share));
+        let reflected = median(&mut shares.collect::<Vec<_>>())?;
+        let all = seen.iter().map(|(p, ..)| p.coords).sum::<Vector3<f64>>() / seen.len() as f64;
+        Some(Support {
             below: Point3::from(all - normal * normal.dot(&(all - middle))),
             normal,
-            reflected: *reflected,
+            reflected: reflected as f32,
         })
     }
 }

@@ -1,7 +1,7 @@
 //! What has to be known of a sensor before its IR values measure light.
 
 use super::{FlatField, NearLight};
-use depth_camera::{CameraInfo, Light, Sensor};
+use depth_camera::{CameraInfo, Sensor};
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
@@ -39,10 +39,10 @@ pub struct LightCalibration {
 }
 
 impl LightCalibration {
-    /// The light of a device whose own description is `stated`.
-    pub fn near_light(&self, stated: &Light) -> NearLight {
+    /// The light, which stands at `stated_m` (metres, camera frame) where its place is not measured.
+    pub fn near_light(&self, stated_m: [f64; 3]) -> NearLight {
         NearLight {
-            position: Point3::from(self.position_m.unwrap_or(stated.position_m)),
+            position: Point3::from(self.position_m.unwrap_or(stated_m)),
             lobe_power: self.lobe_power,
         }
     }

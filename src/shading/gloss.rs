@@ -38,7 +38,8 @@ impl Gloss {
     }
 
     /// The highlight at a point (m, camera frame) with a normal of any length, where `direct` arrives from the light as of
-    /// [`NearLight::incident`](super::NearLight::incident).
+    /// [`NearLight::incident`](super::NearLight::incident). None where no light arrives, as behind the light, or where light and
+    /// camera lie in opposite directions.
     #[inline]
     pub fn highlight(
         &self,
@@ -50,8 +51,15 @@ impl Gloss {
             return Highlight::default();
         }
         let brightness = direct.norm();
+        if brightness == 0.0 {
+            return Highlight::default();
+        }
         let between = direct / brightness - point.coords / point.coords.norm();
-        let half = between / between.norm();
+        let spread = between.norm();
+        if spread == 0.0 {
+            return Highlight::default();
+        }
+        let half = between / spread;
         let length = normal.norm();
         let cosine = (normal.dot(&half) / length).max(0.0);
         let lobe = self.strength * brightness * cosine.powf(self.power - 1.0);
@@ -96,5 +104,29 @@ mod tests {
             Gloss::default().highlight(&point, &normal, &direct).value,
             0.0
         );
+    }
+
+    #[test]
+    fn nothing_shines_where_no_light_arrives_or_nothing_lies_halfway() {
+        let (normal, gloss) = (
+            Vector3::new(0.0, 0.0, -1.0),
+            Gloss {
+                strength: 0.4,
+                power: 20.0,
+            },
+        );
+        let lamp = NearLight {
+            position: Point3::new(0.05, 0.0, 0.3),
+            lobe_power: 2.0,
+        };
+        let before_it = Point3::new(0.0, 0.0, 0.2);
+        let direct = lamp.incident(&before_it);
+        assert_eq!(direct, Vector3::zeros());
+        let found = gloss.highlight(&before_it, &normal, &direct);
+        assert_eq!(found, Highlight::default());
+
+        let beyond = NearLight::even(Point3::new(0.0, 0.0, 0.5)).incident(&before_it);
+        let found = gloss.highlight(&before_it, &normal, &beyond);
+        assert_eq!(found, Highlight::default());
     }
 }

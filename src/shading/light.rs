@@ -57,6 +57,14 @@ impl NearLight {
             + Vector3::new(0.0, 0.0, lobe_slope)
     }
 
+    /// Logarithm of the cosine between the ray from the light to a point (m, camera frame) and the optical axis, of 10⁻⁹ at least:
+    /// the derivative of the lobe's logarithm by its power. Those by the light's place are of [`Self::irradiance_by_point`], since
+    /// the light moves against the point.
+    pub fn log_cosine(&self, point: &Point3<f64>) -> f64 {
+        let ray = point - self.position;
+        (ray.z / ray.norm()).max(1e-9).ln()
+    }
+
     /// The emission towards a point at depth `z` from the light; `squared` is its squared distance.
     #[inline]
     fn lobe(&self, z: f64, squared: f64) -> f64 {

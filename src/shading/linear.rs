@@ -4,6 +4,10 @@ use super::Calibration;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use depth_camera::Image;
 
+/// From this share of full scale a pixel counts as saturated. Where exposures or finer pixels are averaged, one that was clipped in
+/// most of them comes out a little below full scale.
+pub const SATURATION: f64 = 0.985;
+
 /// Linear intensity with its standard deviation, both as shares of full scale on the optical axis.
 #[derive(Clone, Debug)]
 pub struct LinearImage {
@@ -11,7 +15,7 @@ pub struct LinearImage {
     pub value: Image<f32>,
     /// The same as the pixel integrated it, blur and all.
     pub integrated: Image<f32>,
-    /// Standard deviation of it.
+    /// Standard deviation of `integrated`. That [`sharpen`], by which `value` comes from it, makes noise half as large again is not in it.
     pub sigma: Image<f32>,
 }
 
@@ -198,7 +202,7 @@ mod tests {
         let counts = |linear: f64| (1023.0 * linear.powf(gamma)) as f32;
         let seen = Image::from_vec(3, 1, vec![counts(lamp + ambient), counts(ambient), 1020.0]);
         let unlit = Image::filled(3, 1, counts(ambient));
-        let alone = without_ambient(&seen, &unlit, 0.985 * 1023.0, gamma);
+        let alone = without_ambient(&seen, &unlit, SATURATION * 1023.0, gamma);
         assert!((alone.at(0, 0) - counts(lamp)).abs() < 0.01);
         assert!(*alone.at(1, 0) < 0.1, "{}", alone.at(1, 0));
         assert_eq!(*alone.at(2, 0), 1020.0);

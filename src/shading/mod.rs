@@ -10,11 +10,11 @@ mod flat_field;
 mod gloss;
 mod light;
 mod linear;
-mod tukey;
 
 pub use calibration::{Calibration, ImageNoise, LightCalibration};
 pub use flat_field::{FlatField, FlatMap, SplineGrid};
 pub use gloss::{Gloss, Highlight};
 pub use light::{LightTable, NearLight};
-pub use linear::{LinearImage, LinearSamples, between_pixels, linearise, sharpen, without_ambient};
-pub use tukey::{Tukey, median, median_absolute_deviation};
+pub use linear::{
+    LinearImage, LinearSamples, SATURATION, between_pixels, linearise, sharpen, without_ambient,
+};
