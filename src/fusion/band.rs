@@ -1,13 +1,12 @@
 //! Which blocks a frame touches: those along its truncation band.
 
 use super::block::{BLOCK_SIDE, BlockCoord};
-use super::icp::{Rotation, rows};
 use super::noise::DepthNoise;
 use super::pyramid::FramePyramid;
 use super::turns::Turns;
 use super::volume::{Refusal, TsdfVolume};
-use crate::geometry::Pose;
 use crate::geometry::lanes::{LANES, Lane};
+use crate::geometry::{Pose, Rigid};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rays are looked at on a grid of so many pixels, the coarsest that leaves them close enough.
@@ -27,7 +26,7 @@ pub struct Band {
     touched: Vec<u32>,
     refused: Refused,
     /// Where rays cross blocks, by how deep in the band.
-    crossings: Vec<Crossings>,
+    crossings: Vec<BlocksCrossed>,
 }
 
 /// Blocks that were seen and not allocated; one that is seen in many frames counts once for each.
@@ -106,7 +105,8 @@ impl Band {
         self.frame += 1;
         let band = BandOfRays::new(volume, world_from_camera);
         self.crossings.clear();
-        self.crossings.resize(band.n_samples, Crossings::default());
+        self.crossings
+            .resize(band.n_samples, BlocksCrossed::default());
         let block_m = volume.voxel_size_m() * BLOCK_SIDE as f32;
         let pitch = 0.5 * frame.reduced[0].pitch;
         // Beyond this depth a grid's rays are too far apart, and blocks could fall between them.
@@ -178,8 +178,7 @@ impl Band {
 
 /// The truncation band along rays from a pose.
 struct BandOfRays {
-    rotation: Rotation,
-    origin: [f32; 3],
+    world_from_camera: Rigid,
     truncation_m: f32,
     /// Samples along each ray: half a block's side apart, so that they jump none but at a corner.
     n_samples: usize,
@@ -189,8 +188,7 @@ impl BandOfRays {
     fn new(volume: &TsdfVolume, world_from_camera: &Pose) -> Self {
         let block_m = volume.voxel_size_m() * BLOCK_SIDE as f32;
         BandOfRays {
-            rotation: rows(world_from_camera.rotation.to_rotation_matrix().matrix()),
-            origin: world_from_camera.translation.vector.cast::<f32>().into(),
+            world_from_camera: Rigid::new(world_from_camera),
             truncation_m: volume.truncation_m(),
             n_samples: (4.0 * volume.truncation_m() / block_m).ceil() as usize + 1,
         }
@@ -215,16 +213,16 @@ impl RayLanes {
 
 /// The blocks in which one sample of each ray lies.
 #[derive(Clone, Debug)]
-struct Crossings {
+struct BlocksCrossed {
     coords: [[i32; LANES]; 3],
     /// Whether it is another block than that of the ray before, and than that of the shallower sample of the same ray.
     is_fresh: [bool; LANES],
 }
 
-impl Default for Crossings {
+impl Default for BlocksCrossed {
     /// No block of any volume.
     fn default() -> Self {
-        Crossings {
+        BlocksCrossed {
             coords: [[i32::MIN; LANES]; 3],
             is_fresh: [false; LANES],
         }
@@ -236,7 +234,7 @@ struct Cross<'a> {
     volume: &'a TsdfVolume,
     band: &'a BandOfRays,
     rays: &'a RayLanes,
-    crossings: &'a mut [Crossings],
+    crossings: &'a mut [BlocksCrossed],
 }
 
 impl WithSimd for Cross<'_> {
@@ -250,9 +248,10 @@ impl WithSimd for Cross<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Cross { band, rays, .. } = self;
         let mut rays_world = [[0.0; LANES]; 3];
-        for (ray, row) in rays_world.iter_mut().zip(&band.rotation) {
-            for i in 0..LANES {
-                ray[i] = row[0] * rays.x[i] + row[1] * rays.y[i] + row[2];
+        for i in 0..LANES {
+            let ray = band.world_from_camera.turn([rays.x[i], rays.y[i], 1.0]);
+            for axis in 0..3 {
+                rays_world[axis][i] = ray[axis];
             }
         }
         let [x, y, z] = &rays_world;
@@ -271,7 +270,7 @@ impl WithSimd for Cross<'_> {
                 let coords = &mut crossings.coords[axis];
                 for i in 0..LANES {
                     let depth = rays.depth[i] + reach[i] * share;
-                    let place = band.origin[axis] + rays_world[axis][i] * depth;
+                    let place = band.world_from_camera.shift[axis] + rays_world[axis][i] * depth;
                     coords[i] = self.volume.block_coord(place);
                 }
                 let mut of_ray_before = [before; LANES];

@@ -24,7 +24,7 @@ const NOTHING: Ends = Ends {
 
 /// Where a brick lies with respect to the band.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sight {
+pub enum BandSight {
     /// In free space as a whole.
     Free,
     /// In the band, or partly so.
@@ -58,7 +58,7 @@ impl BandEnds {
 
     /// Where a brick lies.
     #[inline(always)]
-    pub fn sight(&self, extent: &Extent) -> Sight {
+    pub fn sight(&self, extent: &Extent) -> BandSight {
         let mut ends = NOTHING;
         let columns = extent.columns.start() / TILE..extent.columns.end() / TILE + 1;
         for row in extent.rows.start() / TILE..=extent.rows.end() / TILE {
@@ -66,11 +66,11 @@ impl BandEnds {
             ends = tiles.iter().fold(ends, |ends, tile| ends.joined(tile));
         }
         if extent.near_m > ends.far_m {
-            Sight::Hidden
+            BandSight::Hidden
         } else if extent.far_m < ends.near_m {
-            Sight::Free
+            BandSight::Free
         } else {
-            Sight::InBand
+            BandSight::InBand
         }
     }
 }
@@ -182,11 +182,11 @@ mod tests {
                     far_m: near_m + 0.01,
                 })
             };
-            assert_eq!(sight(20, 0.445), Sight::Free);
-            assert_eq!(sight(20, 0.455), Sight::InBand);
-            assert_eq!(sight(45, 0.535), Sight::InBand);
-            assert_eq!(sight(20, 0.545), Sight::Hidden);
-            assert_eq!(sight(60, 0.5), Sight::Hidden);
+            assert_eq!(sight(20, 0.445), BandSight::Free);
+            assert_eq!(sight(20, 0.455), BandSight::InBand);
+            assert_eq!(sight(45, 0.535), BandSight::InBand);
+            assert_eq!(sight(20, 0.545), BandSight::Hidden);
+            assert_eq!(sight(60, 0.5), BandSight::Hidden);
         }
     }
 }

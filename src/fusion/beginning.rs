@@ -56,7 +56,7 @@ impl Fusion {
     /// Where a frame lies better than where it was tracked, if that is worth while.
     fn found_again(&mut self, frame: &Keyframe, guess: &Pose) -> Option<Pose> {
         self.eye.take_kept(&frame.depth_m(), frame.n_frames);
-        let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
+        let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let tracked = &frame.world_from_camera;
         let candidates = [tracked, guess].map(|from| align_closely(from, eye, volume, params));
         let (pose, fit) = candidates.into_iter().flatten().min_by(better)?;

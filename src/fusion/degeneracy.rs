@@ -15,7 +15,7 @@ use super::pyramid::{Level, N_REDUCED};
 use super::sdf_alignment::Ask;
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
-use crate::geometry::{Pose, increment_about};
+use crate::geometry::{Pose, increment_about, point_to_plane_row};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Below this mean square share of the residuals' direction a motion is not held by the geometry. By the frame's normals sensor noise
@@ -181,8 +181,9 @@ impl Degeneracy {
         let extent = Extent::of(points.clone())?;
         let (mut shares, mut sum) = (Matrix6::zeros(), 0.0);
         for (point, normal, weight) in points {
-            let turn = (point - extent.middle).cross(&normal) / extent.spread_m;
-            let row = Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+            let mut row = point_to_plane_row(&(point - extent.middle), &normal);
+            let mut turn = row.fixed_rows_mut::<3>(0);
+            turn /= extent.spread_m;
             shares += row * row.transpose() * weight;
             sum += weight;
         }

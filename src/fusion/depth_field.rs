@@ -166,24 +166,22 @@ impl DepthField {
 
 /// Means over three by three cells, which fade to nothing where little was seen.
 fn smoothed(cells: &CellGrid, sums: &[(f64, f64)]) -> Vec<f64> {
-    let (columns, rows) = (cells.columns(), cells.rows());
-    let at = |column: usize, row: usize| {
+    let place = |cell: usize| [cell % cells.columns(), cell / cells.columns()];
+    let nearness = |cell: usize, other: usize| -> f64 {
+        let [[column, row], [x, y]] = [place(cell), place(other)];
+        [1.0, 0.5][usize::from(x != column)] * [1.0, 0.5][usize::from(y != row)]
+    };
+    let at = |cell: usize| {
         let (mut sum, mut weights) = (0.0, HALF_TRUST_FRAMES);
-        for y in row.saturating_sub(1)..(row + 2).min(rows) {
-            for x in column.saturating_sub(1)..(column + 2).min(columns) {
-                let nearness =
-                    [1.0, 0.5][usize::from(x != column)] * [1.0, 0.5][usize::from(y != row)];
-                let (part, weight) = sums[y * columns + x];
-                sum += nearness * part;
-                weights += nearness * weight;
-            }
+        for other in cells.beside(cell, 1) {
+            let (part, weight) = sums[other];
+            let nearness = nearness(cell, other);
+            sum += nearness * part;
+            weights += nearness * weight;
         }
         sum / weights
     };
-    (0..rows)
-        .flat_map(|row| (0..columns).map(move |column| (column, row)))
-        .map(|(column, row)| at(column, row))
-        .collect()
+    (0..cells.n_cells()).map(at).collect()
 }
 
 #[cfg(test)]
@@ -233,14 +231,14 @@ mod tests {
     fn a_bowl_is_found_where_the_image_shows_a_surface() {
         let (fusion, keyframes, camera) = seen(1.0);
         let rays = RayGrid::new(camera);
-        let field = DepthField::measure(&keyframes, &fusion.volume, &rays).expect("a field");
+        let field = DepthField::measure(&keyframes, &fusion.fused.volume, &rays).expect("a field");
         let nothing = DepthField {
             offsets: vec![0.0; field.offsets.len()],
             ..field.clone()
         };
         // Mean square of what a field leaves of a frame that is moved as fits best.
         let left = |frame: &Keyframe, field: &DepthField| {
-            let (volume, cells) = (&fusion.volume, &field.cells);
+            let (volume, cells) = (&fusion.fused.volume, &field.cells);
             let patches = frame_patches::of_frame(frame, volume, &rays, cells, MAX_DISTANCE_M);
             let motion = field.motion(&patches);
             let squares = patches.iter().map(|patch| {
@@ -263,7 +261,7 @@ mod tests {
     fn frames_without_a_field_show_none() {
         let (fusion, keyframes, camera) = seen(0.0);
         let rays = RayGrid::new(camera);
-        let field = DepthField::measure(&keyframes, &fusion.volume, &rays);
+        let field = DepthField::measure(&keyframes, &fusion.fused.volume, &rays);
         assert!(field.is_none_or(|field| field.rms() < 3e-4));
     }
 }

@@ -1,7 +1,7 @@
 //! The frame in hand, from a depth image to measurements, and those into a volume; its buffers are kept from frame to frame.
 
 use super::MODEL_LEVEL;
-use super::band::Band;
+use super::fused_volume::FusedVolume;
 use super::integrate::integrate;
 use super::noise::DepthNoise;
 use super::observe::Observations;
@@ -72,8 +72,7 @@ impl Eye {
     /// Fuses the frame in hand into a volume, by the weight of what it stands for.
     pub fn fuse_into(
         &mut self,
-        volume: &mut TsdfVolume,
-        band: &mut Band,
+        FusedVolume { volume, band }: &mut FusedVolume,
         world_from_camera: &Pose,
         turns: Turns,
         on_step: &mut OnStep,

@@ -2,13 +2,12 @@
 
 use super::eye::Eye;
 use super::fragments::{FRAGMENT_LEVEL, Fragment};
-use super::icp::{Rotation, is_small, rows, turn};
+use super::icp::is_small;
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, TileSums, huber_weight};
 use super::raycast::ModelMap;
-use crate::geometry::Lens;
-use crate::geometry::Pose;
 use crate::geometry::lanes::{LANES, Lane};
+use crate::geometry::{Lens, Pose, Rigid};
 use nalgebra::{Matrix6, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
@@ -76,7 +75,7 @@ pub(super) fn align(
             let target = Target {
                 map: &target.map,
                 lens: lens(eye),
-                moved: Moved::new(&target_from_source),
+                target_from_source: Rigid::new(&target_from_source),
                 max_distance_squared: max_distance_m * max_distance_m,
             };
             let equations = point_to_plane(eye.arch, &source.points.lanes, &target);
@@ -95,42 +94,26 @@ pub(super) fn align(
     })
 }
 
-/// A relative pose in single precision.
-struct Moved {
-    rotation: Rotation,
-    translation: [f32; 3],
-}
-
-impl Moved {
-    fn new(pose: &Pose) -> Self {
-        Moved {
-            rotation: rows(pose.rotation.to_rotation_matrix().matrix()),
-            translation: pose.translation.vector.cast::<f32>().into(),
+/// Where moved points come to lie, metres, and in which pixels.
+#[inline(always)]
+fn places(motion: &Rigid, points: &PointLanes, lens: &Lens) -> ([Lane; 3], [u32; LANES]) {
+    let (mut places, mut pixels) = ([[0.0; LANES]; 3], [0; LANES]);
+    for i in 0..LANES {
+        let [x, y, z] = &points.point;
+        let place = motion.point([x[i], y[i], z[i]]);
+        pixels[i] = lens.pixel_index(place);
+        for axis in 0..3 {
+            places[axis][i] = place[axis];
         }
     }
-
-    /// Where points come to lie, metres, and in which pixels.
-    #[inline(always)]
-    fn places(&self, points: &PointLanes, lens: &Lens) -> ([Lane; 3], [u32; LANES]) {
-        let (mut places, mut pixels) = ([[0.0; LANES]; 3], [0; LANES]);
-        for i in 0..LANES {
-            let [x, y, z] = &points.point;
-            let point = [x[i], y[i], z[i]];
-            let place = turn(&self.rotation, &point, &self.translation);
-            pixels[i] = lens.pixel_index(place);
-            for axis in 0..3 {
-                places[axis][i] = place[axis];
-            }
-        }
-        (places, pixels)
-    }
+    (places, pixels)
 }
 
 /// What points are aligned to, and how far.
 struct Target<'a> {
     map: &'a ModelMap,
     lens: &'a Lens,
-    moved: Moved,
+    target_from_source: Rigid,
     max_distance_squared: f32,
 }
 
@@ -172,13 +155,14 @@ impl Target<'_> {
     )]
     #[inline(always)]
     fn residuals(&self, points: &PointLanes, rows: &mut Rows) {
+        let motion = &self.target_from_source;
         let pixels;
-        (rows.lever, pixels) = self.moved.places(points, self.lens);
+        (rows.lever, pixels) = places(motion, points, self.lens);
         let plane;
         [plane, rows.normal] = self.map.planes(&pixels);
         for i in 0..LANES {
             let [x, y, z] = &points.normal;
-            let normal = turn(&self.moved.rotation, &[x[i], y[i], z[i]], &[0.0; 3]);
+            let normal = motion.turn([x[i], y[i], z[i]]);
             let (mut cosine, mut residual, mut squared) = (0.0, 0.0, 0.0);
             let (mut towards, mut far_squared) = (0.0, 0.0);
             for axis in 0..3 {
@@ -297,14 +281,12 @@ pub(super) fn mutual_overlap(
     eye: &Eye,
     margin_m: f32,
 ) -> Overlap {
-    let seen_by = |points: &AlignedPoints, map, moved| {
-        let lens = lens(eye);
-        let (few, moved) = (points.few(), Moved::new(moved));
+    let seen_by = |points: &AlignedPoints, map, map_from_points: &Pose| {
         eye.arch.dispatch(SumOverlap {
-            points: few,
+            points: points.few(),
             map,
-            lens,
-            moved,
+            lens: lens(eye),
+            map_from_points: Rigid::new(map_from_points),
             margin_m,
         })
     };
@@ -318,7 +300,7 @@ struct SumOverlap<'a> {
     points: &'a [PointLanes],
     map: &'a ModelMap,
     lens: &'a Lens,
-    moved: Moved,
+    map_from_points: Rigid,
     margin_m: f32,
 }
 
@@ -334,7 +316,7 @@ impl WithSimd for SumOverlap<'_> {
         let (map_points, map_normals) = (self.map.points.data(), self.map.normals.data());
         let mut counts = [[0u32; LANES]; 3];
         for points in self.points {
-            let (places, pixels) = self.moved.places(points, self.lens);
+            let (places, pixels) = places(&self.map_from_points, points, self.lens);
             let mut surface_z = [f32::INFINITY; LANES];
             for i in 0..LANES {
                 let pixel = pixels[i] as usize;

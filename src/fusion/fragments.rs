@@ -3,9 +3,9 @@
 //! Averaging a fragment's frames takes most of the depth noise off before fragments are aligned to one another (Choi, Zhou,
 //! Koltun 2015). A fragment's frame of reference, `anchor`, is the camera of its middle frame.
 
-use super::band::Band;
 use super::eye::Eye;
 use super::fragment_alignment::AlignedPoints;
+use super::fused_volume::FusedVolume;
 use super::keyframes::Keyframe;
 use super::raycast::ModelMap;
 use super::turns::Turns;
@@ -84,7 +84,7 @@ impl Fragment {
     ) -> Fragment {
         let anchor = (stretch.start + stretch.end) / 2;
         let anchor_from_world = frames[anchor].world_from_camera.inverse();
-        let (mut volume, mut band) = (params.fragment_volume(), Band::default());
+        let mut fused = FusedVolume::untouched(params.fragment_volume());
         // The anchor comes last: its frame is then in hand to look from.
         let others = stretch.clone().filter(|&index| index != anchor);
         for index in others.chain([anchor]) {
@@ -92,15 +92,14 @@ impl Fragment {
             eye.take_kept(&frame.depth_m(), frame.n_frames);
             let anchor_from_camera = anchor_from_world * frame.world_from_camera;
             eye.fuse_into(
-                &mut volume,
-                &mut band,
+                &mut fused,
                 &anchor_from_camera,
                 Turns::EVERY_FRAME,
                 &mut |_| {},
             );
         }
         let mut map = ModelMap::of_level(eye.level(FRAGMENT_LEVEL));
-        eye.look(FRAGMENT_LEVEL, &volume, &Pose::identity(), &mut map);
+        eye.look(FRAGMENT_LEVEL, &fused.volume, &Pose::identity(), &mut map);
         Fragment {
             frames: stretch,
             anchor,

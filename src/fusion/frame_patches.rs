@@ -4,8 +4,8 @@
 
 use super::keyframes::Keyframe;
 use super::volume::TsdfVolume;
-use crate::geometry::{CellGrid, DepthPatch, RayGrid};
-use nalgebra::{Cholesky, Matrix6, Point3, U6, Vector3, Vector6};
+use crate::geometry::{CellGrid, DepthPatch, MotionEquations, RayGrid, point_to_plane_row};
+use nalgebra::{Point3, Vector3, Vector6};
 use rayon::prelude::*;
 
 /// A patch of a frame against the model.
@@ -35,6 +35,9 @@ const MIN_FRAMES: usize = 12;
 const MIN_COSINE: f64 = 0.5;
 /// Fewer patches and a frame's pose takes up all that there is.
 const MIN_PATCHES: usize = 60;
+/// Motions that a frame's patches do not hold, as along a wall, are damped by this share of all that they hold; the noise of their
+/// normals alone makes 0.0003.
+const DAMPING: f64 = 1e-6;
 
 /// The cells of an image that patches fill.
 pub fn cells(rays: &RayGrid) -> CellGrid {
@@ -103,12 +106,10 @@ pub fn of_frame(
         }
         // Depth that is too long lies behind the surface, and shortens the signed distance by its cosine.
         let depth_by_distance = -1.0 / (centre.coords.norm() * cosine * centre.z);
-        let turn = centre.coords.cross(&normal);
-        let motion = Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
         Some(Patch {
             cell,
             excess: distance * depth_by_distance,
-            by_motion: motion * depth_by_distance,
+            by_motion: point_to_plane_row(&centre.coords, &normal) * depth_by_distance,
             weight: cosine * cosine,
         })
     };
@@ -124,30 +125,25 @@ pub fn halves<T: Copy>(frames: &[T]) -> (Vec<T>, Vec<T>) {
 /// The motion of a frame that explains its patches best, whatever they are to show.
 pub struct MotionFit<'a> {
     patches: &'a [Patch],
-    factor: Option<Cholesky<f64, U6>>,
+    /// `None` where the patches hold no motion.
+    equations: Option<MotionEquations>,
 }
 
 impl<'a> MotionFit<'a> {
     /// Of a frame with these patches.
     pub fn new(patches: &'a [Patch]) -> Self {
-        let normal_matrix = patches.iter().fold(Matrix6::zeros(), |sum, patch| {
-            sum + patch.weight * patch.by_motion * patch.by_motion.transpose()
-        });
-        let damping = 1e-6 * normal_matrix.trace();
+        let rows = patches.iter().map(|patch| (patch.by_motion, patch.weight));
         MotionFit {
             patches,
-            factor: (normal_matrix + Matrix6::identity() * damping).cholesky(),
+            equations: MotionEquations::new(rows.collect(), DAMPING),
         }
     }
 
     /// The motion that explains a value of each patch best; none where the patches do not hold it.
     pub fn explaining(&self, value: impl Fn(&Patch) -> f64) -> Vector6<f64> {
-        let Some(factor) = &self.factor else {
-            return Vector6::zeros();
-        };
-        let right = self.patches.iter().fold(Vector6::zeros(), |sum, patch| {
-            sum + patch.weight * value(patch) * patch.by_motion
-        });
-        factor.solve(&right)
+        match &self.equations {
+            Some(equations) => equations.explaining(self.patches.iter().map(value)),
+            None => Vector6::zeros(),
+        }
     }
 }

@@ -5,10 +5,9 @@ use super::normal_equations::{Rows, huber_weight};
 use super::points::{Points, Residuals, equations};
 use super::pyramid::{FramePyramid, Level, N_REDUCED};
 use super::raycast::ModelMap;
-use crate::geometry::Lens;
-use crate::geometry::Pose;
 use crate::geometry::lanes::LANES;
-use nalgebra::{Matrix3, Vector3};
+use crate::geometry::{Lens, Pose, Rigid};
+use nalgebra::Vector3;
 use pulp::Arch;
 use serde::{Deserialize, Serialize};
 
@@ -70,7 +69,8 @@ pub fn align(
         for iteration in 0..FAR_TIMES * iterations {
             let target = PointToPlane {
                 model,
-                motion: Motion::new(&world_from_camera, model.world_from_camera),
+                world_from_camera: Rigid::new(&world_from_camera),
+                map_from_camera: map_from_camera(model, &world_from_camera),
                 noise,
                 gates,
             };
@@ -118,10 +118,10 @@ pub fn see_through_share(
     world_from_camera: &Pose,
     voxel_size_m: f32,
 ) -> f64 {
-    let motion = Motion::new(world_from_camera, model.world_from_camera);
-    let map_from_world = model.world_from_camera.inverse();
-    let axis = Vector3::from(rows(map_from_world.rotation.to_rotation_matrix().matrix())[2]);
-    let offset = map_from_world.translation.vector.z as f32;
+    let map_from_camera = map_from_camera(model, world_from_camera);
+    let map_from_world = Rigid::new(&model.world_from_camera.inverse());
+    let axis = Vector3::from(map_from_world.rows[2]);
+    let offset = map_from_world.shift[2];
     let margin = BEHIND_VOXELS * voxel_size_m;
     let (mut n_seen, mut n_behind) = (0usize, 0usize);
     for pixel in 0..level.depth.len() {
@@ -129,7 +129,7 @@ pub fn see_through_share(
         if point[2] <= 0.0 {
             continue;
         }
-        let point_map = turn(&motion.map_rotation, &point, &motion.map_translation);
+        let point_map = map_from_camera.point(point);
         let cell = model.lens.pixel_index(point_map) as usize;
         let Some(normal) = model.map.normals.data().get(cell) else {
             continue;
@@ -150,46 +150,15 @@ struct Gates {
     min_normal_cosine: f32,
 }
 
-/// A rotation by rows.
-pub type Rotation = [[f32; 3]; 3];
-
-/// The frame's pose, towards the world and towards the camera from which the model was cast.
-struct Motion {
-    world_rotation: Rotation,
-    centre: [f32; 3],
-    map_rotation: Rotation,
-    map_translation: [f32; 3],
-}
-
-impl Motion {
-    fn new(world_from_camera: &Pose, world_from_map: &Pose) -> Self {
-        let map_from_camera = world_from_map.inverse() * world_from_camera;
-        Motion {
-            world_rotation: rows(world_from_camera.rotation.to_rotation_matrix().matrix()),
-            centre: world_from_camera.translation.vector.cast::<f32>().into(),
-            map_rotation: rows(map_from_camera.rotation.to_rotation_matrix().matrix()),
-            map_translation: map_from_camera.translation.vector.cast::<f32>().into(),
-        }
-    }
-}
-
-/// The rows of a matrix in single precision.
-pub fn rows(matrix: &Matrix3<f64>) -> Rotation {
-    matrix.cast::<f32>().transpose().into()
-}
-
-/// Turns a point, then moves it.
-#[inline(always)]
-pub fn turn(rotation: &Rotation, point: &[f32; 3], translation: &[f32; 3]) -> [f32; 3] {
-    [0, 1, 2].map(|row| {
-        let [x, y, z] = rotation[row];
-        x * point[0] + y * point[1] + z * point[2] + translation[row]
-    })
+/// A frame's pose, towards the camera from which the model was cast.
+fn map_from_camera(model: &CastModel, world_from_camera: &Pose) -> Rigid {
+    Rigid::new(&(model.world_from_camera.inverse() * world_from_camera))
 }
 
 struct PointToPlane<'a> {
     model: &'a CastModel<'a>,
-    motion: Motion,
+    world_from_camera: Rigid,
+    map_from_camera: Rigid,
     noise: &'a DepthNoise,
     gates: Gates,
 }
@@ -201,20 +170,12 @@ impl Residuals for PointToPlane<'_> {
     )]
     #[inline(always)]
     fn residuals(&self, points: &Points, rows: &mut Rows) {
-        let Motion {
-            world_rotation,
-            centre,
-            map_rotation,
-            map_translation,
-        } = &self.motion;
+        let (world, map) = (&self.world_from_camera, &self.map_from_camera);
         let mut cells = [0; LANES];
         for i in 0..LANES {
             let point = [points.point[0][i], points.point[1][i], points.point[2][i]];
-            cells[i] = self
-                .model
-                .lens
-                .pixel_index(turn(map_rotation, &point, map_translation));
-            let lever = turn(world_rotation, &point, &[0.0; 3]);
+            cells[i] = self.model.lens.pixel_index(map.point(point));
+            let lever = world.turn(point);
             for axis in 0..3 {
                 rows.lever[axis][i] = lever[axis];
             }
@@ -227,10 +188,10 @@ impl Residuals for PointToPlane<'_> {
                 points.normal[1][i],
                 points.normal[2][i],
             ];
-            let live = turn(world_rotation, &live, &[0.0; 3]);
+            let live = world.turn(live);
             let (mut cosine, mut residual, mut squared) = (0.0, 0.0, 0.0);
             for axis in 0..3 {
-                let offset = rows.lever[axis][i] + centre[axis] - place[axis][i];
+                let offset = rows.lever[axis][i] + world.shift[axis] - place[axis][i];
                 cosine += live[axis] * rows.normal[axis][i];
                 residual += offset * rows.normal[axis][i];
                 squared += offset * offset;

@@ -23,7 +23,7 @@ use super::track::Track;
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::LANES;
 use crate::geometry::{CameraModel, Motion, Pose, RayGrid, motion_between};
-use crate::shading::{Calibration, LinearImage, NearLight, linearise};
+use crate::shading::{Calibration, LinearImage, NearLight, SATURATION, linearise};
 use depth_camera::Image;
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3};
 
@@ -40,8 +40,6 @@ pub struct InfraredOptics {
 
 /// Pixels of the whole image along a side of one of the model's.
 const REDUCTION: usize = 2 << MODEL_LEVEL;
-/// Above this share of full scale a pixel counts as saturated.
-const SATURATION: f64 = 0.98;
 /// What Eq. (1) leaves unexplained, as a share of the intensity: interreflection, and normals that are off by a degree or two.
 const MODEL_ERROR: f64 = 0.02;
 /// Intensities that differ by more than this factor are no motion over a texture: one view is in shadow, or saturated.

@@ -4,7 +4,7 @@
 //! the steps are loops over arrays. Bricks that a frame does not see are left alone, and so are those in free space in which
 //! nothing was ever seen.
 
-use super::band_ends::Sight;
+use super::band_ends::BandSight;
 use super::block::{BRICK_VOXELS, Block, BlockCoord, TSDF_ONE};
 use super::observe::{DepthStep, Observation, Observations, slope_of, weight_of};
 use super::view::View;
@@ -94,10 +94,10 @@ impl WithSimd for UpdateBlocks<'_> {
             for (brick, (tsdf, weights)) in tsdf.iter_mut().zip(weights).enumerate() {
                 let sight = bricks.extent(brick).map(|extent| ends.sight(&extent));
                 match sight {
-                    None | Some(Sight::Hidden) => continue,
+                    None | Some(BandSight::Hidden) => continue,
                     // Free space is kept only where there may be something to carve away.
-                    Some(Sight::Free) if *weights == [0; BRICK_VOXELS] => continue,
-                    Some(Sight::Free | Sight::InBand) => {}
+                    Some(BandSight::Free) if *weights == [0; BRICK_VOXELS] => continue,
+                    Some(BandSight::Free | BandSight::InBand) => {}
                 }
                 let (nearest, depth) = self.view.project(&bricks, brick);
                 let mut seen = [0; BRICK_VOXELS];

@@ -11,6 +11,7 @@
 
 use super::Fusion;
 use super::block_masks::{Octant, TASK_BLOCKS, Voxels, blocks_above, blocks_below};
+use super::fused_volume::FusedVolume;
 use super::surface_patch::{Renewal, SurfacePatch};
 use super::volume::TsdfVolume;
 use crate::geometry::TriMesh;
@@ -78,22 +79,24 @@ impl Fusion {
         if live.volume_number != self.volume_number {
             *live = LiveMesh::default();
         }
-        let changed = self.band.touched_since(live.frame);
-        live.waiting = affected(&self.volume, changed, &live.waiting);
-        live.frame = self.band.frame();
+        let FusedVolume { volume, band } = &self.fused;
+        let changed = band.touched_since(live.frame);
+        live.waiting = affected(volume, changed, &live.waiting);
+        live.frame = band.frame();
         live.volume_number = self.volume_number;
     }
 
     /// Extracts the first patches of those that wait, at most so many.
     fn extract_waiting(&self, live: &mut LiveMesh, max_patches: usize) -> Vec<u32> {
+        let volume = &self.fused.volume;
         let n_patches = live.waiting.len().min(max_patches);
         let blocks: Vec<u32> = live.waiting.drain(..n_patches).collect();
         live.patches
-            .resize(self.volume.blocks().len(), SurfacePatch::default());
-        let coords = self.volume.coords();
+            .resize(volume.blocks().len(), SurfacePatch::default());
+        let coords = volume.coords();
         let above: Vec<Octant> = blocks
             .iter()
-            .map(|&block| blocks_above(&self.volume, coords[block as usize]))
+            .map(|&block| blocks_above(volume, coords[block as usize]))
             .collect();
         self.read(live, &above);
         let mut patches: Vec<SurfacePatch> = blocks
@@ -104,7 +107,7 @@ impl Fusion {
         let tasks = tasks.zip(above.par_chunks(TASK_BLOCKS));
         tasks.for_each(|(patches, above)| {
             self.eye.arch.dispatch(Renewal {
-                volume: &self.volume,
+                volume,
                 voxels: &live.voxels,
                 patches,
                 above,
@@ -118,21 +121,22 @@ impl Fusion {
 
     /// Reads the voxels that the cubes of some blocks reach, as far as frames have changed them since they were read.
     fn read(&self, live: &mut LiveMesh, above: &[Octant]) {
-        let n_blocks = self.volume.blocks().len();
+        let FusedVolume { volume, band } = &self.fused;
+        let n_blocks = volume.blocks().len();
         live.voxels.resize(n_blocks, Voxels::default());
         live.read_after.resize(n_blocks, 0);
         let mut changed = Vec::new();
         for &block in above.as_flattened() {
             // Where there is no block the number lies beyond all blocks.
             if let Some(read_after) = live.read_after.get_mut(block as usize)
-                && *read_after < self.band.touched_in(block)
+                && *read_after < band.touched_in(block)
             {
-                *read_after = self.band.frame();
+                *read_after = band.frame();
                 changed.push(block);
             }
         }
         let min_weight = self.params.min_surface_weight as f32;
-        let voxels = Voxels::of_blocks(self.eye.arch, &self.volume, &changed, min_weight);
+        let voxels = Voxels::of_blocks(self.eye.arch, volume, &changed, min_weight);
         for (&block, voxels) in changed.iter().zip(voxels) {
             live.voxels[block as usize] = voxels;
         }

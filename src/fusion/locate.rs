@@ -6,8 +6,8 @@ use super::raycast::ModelMap;
 use super::steps::OnStep;
 use super::track::{MAX_PREDICTION_SECS, STEADY_SECS, Track};
 use super::{Fusion, MODEL_LEVEL, gates, icp, relocalise};
-use crate::geometry::{Motion, Pose, increment, motion_between};
-use nalgebra::{Translation3, Vector6};
+use crate::geometry::{Motion, Pose, increment_about, motion_between};
+use nalgebra::{Vector3, Vector6};
 
 /// After an interruption longer absence does not entitle to a longer jump, seconds.
 const MAX_INTERRUPTED_SECS: f64 = 0.1;
@@ -103,7 +103,7 @@ impl Fusion {
             found.extend(other.ok().filter(is_new));
         }
         let believed = found.into_iter().filter_map(|(pose, fit)| {
-            let seen = relocalise::believe(&pose, &fit, &self.eye, &self.volume)?;
+            let seen = relocalise::believe(&pose, &fit, &self.eye, &self.fused.volume)?;
             Some((seen.agreeing_share, (pose, fit)))
         });
         let best = believed.reduce(|best, other| match other.0 > best.0 + CLEARLY {
@@ -139,7 +139,7 @@ impl Fusion {
             common: self.common.as_ref(),
             infrared: self.infrared.as_ref(),
         };
-        let (volume, params) = (&self.volume, &self.params);
+        let (volume, params) = (&self.fused.volume, &self.params);
         let (pose, fit) = align(eye, &model, volume, guess, params, beside, on_step)
             .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
@@ -157,7 +157,7 @@ impl Fusion {
     /// After an interruption or a gap the camera may be elsewhere: a pose is then believed as one that was searched for.
     fn resume(&self, (pose, fit): (Pose, Fit), time_secs: f64) -> Result<(Pose, Fit), LossReason> {
         if (self.before != Before::Tracked || self.is_after_gap(time_secs))
-            && relocalise::believe(&pose, &fit, &self.eye, &self.volume).is_none()
+            && relocalise::believe(&pose, &fit, &self.eye, &self.fused.volume).is_none()
         {
             return Err(LossReason::Elsewhere);
         }
@@ -185,7 +185,7 @@ impl Fusion {
         self.before = Before::Lost;
         let found = self
             .places
-            .relocalise(&self.eye, &self.volume, &self.params);
+            .relocalise(&self.eye, &self.fused.volume, &self.params);
         self.hypothesis = found.map(|hypothesis| {
             let track = Track::at(hypothesis.world_from_camera, time_secs);
             (hypothesis, track)
@@ -199,11 +199,11 @@ impl Fusion {
 
 /// To either side, up and down, and about the line of sight, round a point so far ahead of the camera, metres.
 fn swings(distance_m: f64) -> [Pose; 6] {
-    let ahead = Translation3::new(0.0, 0.0, distance_m);
+    let ahead = Vector3::new(0.0, 0.0, distance_m);
     std::array::from_fn(|k| {
         let mut turn = Vector6::zeros();
         turn[k / 2] = if k % 2 == 0 { SWING_RAD } else { -SWING_RAD };
-        ahead * increment(&turn) * ahead.inverse()
+        increment_about(&ahead, &turn)
     })
 }
 

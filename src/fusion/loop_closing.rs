@@ -8,16 +8,15 @@
 //! Not handled: places that were seen twice but drifted apart beyond the alignment's reach of 40 mm.
 
 use super::FusionParams;
-use super::band::Band;
 use super::eye::Eye;
 use super::fragment_alignment::{Alignment, align, mutual_overlap};
 use super::fragments::{Fragment, cut};
+use super::fused_volume::FusedVolume;
 use super::icp;
 use super::improvement::{Counted, GoesOn, Work};
 use super::keyframes::Keyframe;
 use super::pose_correction::PoseCorrection;
 use super::pose_graph::{Edge, optimise};
-use super::turns::Turns;
 use super::volume::TsdfVolume;
 use crate::geometry::Pose;
 use nalgebra::{Matrix6, Point3, Vector6};
@@ -109,8 +108,7 @@ pub(super) struct FoundLoops {
     fragments: Vec<(Fragment, Pose, Pose)>,
     n_loops: usize,
     misfit_after_m: f64,
-    volume: TsdfVolume,
-    band: Band,
+    fused: FusedVolume,
     /// When the last frame in it was taken, seconds of the device's clock.
     until_secs: f64,
 }
@@ -118,9 +116,7 @@ pub(super) struct FoundLoops {
 /// Loops that were closed.
 pub(super) struct ClosedLoops {
     pub(super) closure: LoopClosure,
-    pub(super) volume: TsdfVolume,
-    /// What was touched and refused in it.
-    pub(super) band: Band,
+    pub(super) fused: FusedVolume,
 }
 
 /// Rounds of alignment: the second finds its pairs where the first has put them.
@@ -170,10 +166,9 @@ pub(super) fn find(
         return None;
     }
     let correction = PoseCorrection::of_fragments(frames, &fragments, &nodes);
-    let (mut volume, mut band) = (params.empty_volume(), Band::default());
+    let mut fused = FusedVolume::untouched(params.empty_volume());
     let step = Counted::new(Work::CloseLoops, frames.len(), goes_on);
-    let anew = (&mut volume, &mut band);
-    if !fuse_again(anew, frames, &correction, eye, &|| step.goes_on()) {
+    if !fused.fuse_again(frames, &correction, eye, &|| step.goes_on()) {
         return None;
     }
     let corrected =
@@ -181,7 +176,7 @@ pub(super) fn find(
     let corrected: Vec<Pose> = (0..tracked.len())
         .map(|k| corrected(k, &tracked[k]))
         .collect();
-    let misfit_after_m = misfit_m(fragments.iter().zip(&corrected), &volume);
+    let misfit_after_m = misfit_m(fragments.iter().zip(&corrected), &fused.volume);
     let poses = tracked.into_iter().zip(corrected);
     let fragments = fragments.into_iter().zip(poses);
     Some(FoundLoops {
@@ -189,8 +184,7 @@ pub(super) fn find(
         correction,
         n_loops,
         misfit_after_m,
-        volume,
-        band,
+        fused,
         until_secs: frames.last()?.time_secs,
     })
 }
@@ -209,8 +203,7 @@ impl FoundLoops {
         let fits = closure.misfit_after_m < MAX_MISFIT_GROWTH * closure.misfit_before_m;
         fits.then_some(ClosedLoops {
             closure,
-            volume: self.volume,
-            band: self.band,
+            fused: self.fused,
         })
     }
 
@@ -226,11 +219,10 @@ impl FoundLoops {
         eye: &Eye,
         goes_on: &dyn Fn() -> bool,
     ) -> bool {
-        let anew = (&mut self.volume, &mut self.band);
         self.until_secs = later
             .last()
             .map_or(self.until_secs, |frame| frame.time_secs);
-        fuse_again(anew, later, &self.correction, eye, goes_on)
+        self.fused.fuse_again(later, &self.correction, eye, goes_on)
     }
 }
 
@@ -254,27 +246,6 @@ fn settle(
     }
     let n_loops = pairs.iter().filter(|pair| pair.is_loop()).count();
     (nodes, n_loops)
-}
-
-/// Fuses all frames at their corrected poses into a volume, each by the weight of those that it stands for, or the first of them if
-/// it shall not go on, and says which.
-pub(super) fn fuse_again(
-    (volume, band): (&mut TsdfVolume, &mut Band),
-    frames: &[Keyframe],
-    correction: &PoseCorrection,
-    eye: &Eye,
-    goes_on: &dyn Fn() -> bool,
-) -> bool {
-    let mut eye = eye.clone();
-    for frame in frames {
-        if !goes_on() {
-            return false;
-        }
-        eye.take_kept(&frame.depth_m(), frame.n_frames);
-        let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
-        eye.fuse_into(volume, band, &pose, Turns::EVERY_FRAME, &mut |_| {});
-    }
-    true
 }
 
 /// Mean distance of the fragments' points to the surface of a volume, where it knows one, metres.

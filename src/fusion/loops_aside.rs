@@ -92,8 +92,8 @@ impl Fusion {
         let LoopsAside { mut found, eye, .. } = loops;
         let later = self.keyframes.after(found.until_secs());
         found.catch_up(later, &eye, &|| true);
-        let closed = found.judged(&self.volume)?;
-        self.replace_volume(closed.volume, closed.band);
+        let closed = found.judged(&self.fused.volume)?;
+        self.replace_volume(closed.fused);
         let correction = &closed.closure.correction;
         self.keyframes.correct(correction);
         self.places.correct(correction);

@@ -31,6 +31,7 @@ mod turns;
 mod band;
 mod band_ends;
 mod block;
+mod fused_volume;
 mod integrate;
 mod observe;
 mod sampling;
@@ -90,10 +91,10 @@ pub use steps::{FusionStep, OnStep};
 pub use surface_patch::{LatticeEdge, SurfacePatch};
 
 use crate::geometry::{CameraModel, Motion, Pose, RayGrid, TriMesh, motion_between};
-use band::Band;
 use degeneracy::{CommonShape, HARDLY_HELD_SHARE};
 use depth_camera::Image;
 use eye::Eye;
+use fused_volume::FusedVolume;
 use infrared::Infrared;
 use keyframes::Keyframes;
 use locate::Before;
@@ -102,7 +103,6 @@ use relocalise::{Hypothesis, Places};
 use revisit::Revisits;
 use track::Track;
 use turns::Turns;
-use volume::TsdfVolume;
 
 /// The model image has 1/4 of the frame's resolution; the signed distances themselves give the last accuracy.
 const MODEL_LEVEL: usize = 1;
@@ -122,8 +122,7 @@ pub struct Fusion {
     eye: Eye,
     /// `None` without infrared images that show a scene lit by the sensor.
     infrared: Option<Infrared>,
-    band: Band,
-    volume: TsdfVolume,
+    fused: FusedVolume,
     /// Rises when the volume is replaced by another.
     volume_number: usize,
     model: Option<ModelMap>,
@@ -155,8 +154,7 @@ impl Fusion {
         Fusion {
             eye: Eye::new(&camera, noise, params.depth_range()),
             infrared: None,
-            band: Band::default(),
-            volume: params.empty_volume(),
+            fused: FusedVolume::untouched(params.empty_volume()),
             volume_number: 0,
             model: None,
             track: Track::at(Pose::identity(), 0.0),
@@ -225,8 +223,8 @@ impl Fusion {
         on_step(FusionStep::Preprocess);
         match self.find(time_secs, on_step) {
             Ok((world_from_camera, fit)) => {
-                let (common, eye) = (self.common.as_ref(), &self.eye);
-                self.common = CommonShape::after(common, eye, &self.volume, &world_from_camera);
+                let (common, volume) = (self.common.as_ref(), &self.fused.volume);
+                self.common = CommonShape::after(common, &self.eye, volume, &world_from_camera);
                 self.accept(world_from_camera, time_secs, on_step);
                 self.remember(fit.as_ref());
                 on_step(FusionStep::Remember);
@@ -249,8 +247,8 @@ impl Fusion {
         }
         let frames = self.keyframes.frames();
         let found = loop_closing::find(frames, &self.eye, &self.params, goes_on)?;
-        let closed = found.judged(&self.volume)?;
-        self.replace_volume(closed.volume, closed.band);
+        let closed = found.judged(&self.fused.volume)?;
+        self.replace_volume(closed.fused);
         self.turns = Turns::EVERY_FRAME;
         Some(closed.closure)
     }
@@ -263,7 +261,7 @@ impl Fusion {
             return None;
         }
         let eye = &self.eye;
-        let (levels, volume, noise) = (&eye.frame.reduced, &self.volume, &eye.noise);
+        let (levels, volume, noise) = (&eye.frame.reduced, &self.fused.volume, &eye.noise);
         let (arch, guess) = (eye.arch, world_from_camera);
         let (pose, _) =
             sdf_alignment::align(arch, levels, volume, guess, noise, SETTLING_ITERATIONS)?;
@@ -285,18 +283,19 @@ impl Fusion {
     /// Distance to the model's surface (m, positive outside) and its gradient at a point of the world; `None` where the model
     /// knows nothing.
     pub fn signed_distance(&self, point_world: &Point3<f64>) -> Option<(f64, Vector3<f64>)> {
-        let sample = self.volume.sample_with_gradient(&point_world.coords.cast());
+        let volume = &self.fused.volume;
+        let sample = volume.sample_with_gradient(&point_world.coords.cast());
         sample.map(|(distance, gradient)| (f64::from(distance), gradient.cast()))
     }
 
     /// The slow error of a Kinect I's depth that the fused frames show against the model; `None` if they show none.
     pub fn depth_field(&self, rays: &RayGrid) -> Option<DepthField> {
-        DepthField::measure(self.keyframes(), &self.volume, rays)
+        DepthField::measure(self.keyframes(), &self.fused.volume, rays)
     }
 
     /// How long the rows of a Kinect I take to be read, as the fused frames show against the model; `None` if they do not show it.
     pub fn rolling_shutter(&self, rays: &RayGrid) -> Option<RollingShutter> {
-        RollingShutter::measure(self.keyframes(), &self.volume, rays)
+        RollingShutter::measure(self.keyframes(), &self.fused.volume, rays)
     }
 
     /// Says that frames are missing between the last one and the next, which may show another place.
@@ -319,30 +318,30 @@ impl Fusion {
 
     /// Bytes held by the volume.
     pub fn memory_bytes(&self) -> usize {
-        self.volume.memory_bytes()
+        self.fused.volume.memory_bytes()
     }
 
     /// What was seen and found no place in the volume, as a sentence; `None` as long as everything did.
     pub fn refusal(&self) -> Option<String> {
-        self.band.refused().sentence(self.params.memory_budget_mb)
+        let refused = self.fused.band.refused();
+        refused.sentence(self.params.memory_budget_mb)
     }
 
     /// The model's surface, world frame.
     pub fn mesh(&self) -> TriMesh {
         let min_weight = self.params.min_surface_weight as f32;
-        marching_cubes::marching_cubes(self.eye.arch, &self.volume, min_weight)
+        marching_cubes::marching_cubes(self.eye.arch, &self.fused.volume, min_weight)
     }
 
     /// Fuses the frame in hand at a pose, and looks at the model from there.
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
-        let (eye, volume) = (&mut self.eye, &mut self.volume);
-        let (band, turns) = (&mut self.band, self.turns);
-        eye.fuse_into(volume, band, &world_from_camera, turns, on_step);
+        let (eye, fused) = (&mut self.eye, &mut self.fused);
+        eye.fuse_into(fused, &world_from_camera, self.turns, on_step);
         self.places.forget_views();
         let map = self
             .model
             .get_or_insert_with(|| ModelMap::of_level(eye.level(MODEL_LEVEL)));
-        eye.look(MODEL_LEVEL, volume, &world_from_camera, map);
+        eye.look(MODEL_LEVEL, &fused.volume, &world_from_camera, map);
         on_step(FusionStep::Raycast);
         self.track = self
             .track
@@ -365,8 +364,8 @@ impl Fusion {
         }
     }
 
-    fn replace_volume(&mut self, volume: TsdfVolume, band: Band) {
-        (self.volume, self.band) = (volume, band);
+    fn replace_volume(&mut self, fused: FusedVolume) {
+        self.fused = fused;
         self.volume_number += 1;
     }
 

@@ -74,7 +74,7 @@ impl Default for FusionParams {
             max_speed_m_per_s: 2.0,
             depth_field: true,
             rolling_shutter: true,
-            max_revisions: 3,
+            max_revisions: 4,
             use_infrared: true,
             polish: PolishParams::default(),
             loop_closing: LoopClosingParams::default(),

@@ -205,7 +205,7 @@ impl Fusion {
             given,
             reach,
         } = *near;
-        let (eye, volume, params) = (&self.eye, &self.volume, &self.params);
+        let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
         // Given views may lie far apart: what the last one saw may not be in this one at all.
         let map = self.model.as_mut().ok_or(nothing)?;

@@ -3,7 +3,7 @@
 //! Levenberg–Marquardt with left increments, the normal equations factorised by sparse Cholesky; edges that may be wrong are
 //! weighed down by Cauchy's kernel. The first pose is held.
 
-use crate::geometry::{Pose, increment};
+use crate::geometry::{Pose, increment, increment_of};
 use faer::Side;
 use faer::linalg::solvers::Solve;
 use faer::sparse::{SparseColMat, Triplet};
@@ -68,9 +68,7 @@ fn total_energy(nodes: &[Pose], edges: &[Edge]) -> f64 {
 impl Edge {
     /// The increment of `to_from_from` that the nodes' poses amount to.
     fn residual(&self, nodes: &[Pose]) -> Vector6<f64> {
-        let error = nodes[self.to].inverse() * nodes[self.from] * self.to_from_from.inverse();
-        let (turn, shift) = (error.rotation.scaled_axis(), error.translation.vector);
-        Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
+        increment_of(&(nodes[self.to].inverse() * nodes[self.from] * self.to_from_from.inverse()))
     }
 
     /// Square of the residual in sigmas.

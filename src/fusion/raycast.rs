@@ -4,14 +4,13 @@
 //! surface in two or three steps; where that fails they march through the band. Pixels without depth of their own start at
 //! the nearest depth beside them; where there is none, the model is not looked for.
 
-use super::icp::{Rotation, rows, turn};
 use super::preprocess::DepthRange;
 use super::pyramid::{Level, lane};
 use super::sampling::Samples;
 use super::sight::Sight;
 use super::volume::TsdfVolume;
-use crate::geometry::Pose;
 use crate::geometry::lanes::{LANES, Lane};
+use crate::geometry::{Pose, Rigid};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
@@ -230,8 +229,7 @@ fn depth_near(level: &Level, u: usize, v: usize) -> Lane {
 
 struct Caster<'a> {
     volume: &'a TsdfVolume,
-    rotation: Rotation,
-    origin: Vector3<f32>,
+    world_from_camera: Rigid,
     range: DepthRange,
 }
 
@@ -239,8 +237,7 @@ impl<'a> Caster<'a> {
     fn new(volume: &'a TsdfVolume, world_from_camera: &Pose, range: DepthRange) -> Self {
         Caster {
             volume,
-            rotation: rows(world_from_camera.rotation.to_rotation_matrix().matrix()),
-            origin: world_from_camera.translation.vector.cast::<f32>(),
+            world_from_camera: Rigid::new(world_from_camera),
             range,
         }
     }
@@ -249,7 +246,7 @@ impl<'a> Caster<'a> {
     #[inline(always)]
     fn direction(&self, level: &Level, pixel: usize) -> Option<Vector3<f32>> {
         let (x, y) = (level.rays.x[pixel], level.rays.y[pixel]);
-        let direction = turn(&self.rotation, &[x, y, 1.0], &[0.0; 3]);
+        let direction = self.world_from_camera.turn([x, y, 1.0]);
         (!x.is_nan()).then_some(Vector3::from(direction))
     }
 
@@ -264,11 +261,12 @@ impl<'a> Caster<'a> {
         const LAST_STEP_VOXELS: f32 = 0.5;
         let last_step_m = LAST_STEP_VOXELS * self.volume.voxel_size_m();
         let truncation_m = self.volume.truncation_m();
+        let origin = &self.world_from_camera.shift;
         let (x, y) = (lane(&level.rays.x, first), lane(&level.rays.y, first));
         let (mut direction, mut reach) = ([[0.0; LANES]; 3], [0.0; LANES]);
         let (mut z, mut active) = (*depth, [false; LANES]);
         for i in 0..LANES {
-            let ray = turn(&self.rotation, &[x[i], y[i], 1.0], &[0.0; 3]);
+            let ray = self.world_from_camera.turn([x[i], y[i], 1.0]);
             for axis in 0..3 {
                 direction[axis][i] = ray[axis];
             }
@@ -284,7 +282,7 @@ impl<'a> Caster<'a> {
             let mut points = [[0.0; LANES]; 3];
             for axis in 0..3 {
                 for i in 0..LANES {
-                    points[axis][i] = self.origin[axis] + direction[axis][i] * z[i];
+                    points[axis][i] = origin[axis] + direction[axis][i] * z[i];
                 }
             }
             let Samples { distance, gradient } = self.volume.sample_lanes(&points, &active);
@@ -302,7 +300,7 @@ impl<'a> Caster<'a> {
                 let length = squared.sqrt();
                 let hit = arrives & (length > 0.1);
                 for axis in 0..3 {
-                    let point = self.origin[axis] + direction[axis][i] * z[i];
+                    let point = origin[axis] + direction[axis][i] * z[i];
                     let normal = gradient[axis][i] / length;
                     hits.point[axis][i] = if hit { point } else { hits.point[axis][i] };
                     hits.normal[axis][i] = if hit { normal } else { hits.normal[axis][i] };
@@ -335,13 +333,19 @@ impl<'a> Caster<'a> {
         self.march(direction, range)
     }
 
+    /// The point of a ray at a depth, metres.
+    #[inline(always)]
+    fn at(&self, direction: &Vector3<f32>, z: f32) -> Vector3<f32> {
+        Vector3::from(self.world_from_camera.shift) + direction * z
+    }
+
     /// First crossing from the front to the back of the surface along the ray, with the normal there.
     fn march(&self, direction: &Vector3<f32>, range: DepthRange) -> Option<Hit> {
         let voxel_step = self.volume.voxel_size_m() / direction.norm();
         let mut z = range.near_m;
         let mut last: Option<(f32, f32)> = None;
         while z < range.far_m {
-            let point = self.origin + direction * z;
+            let point = self.at(direction, z);
             let seen = self.volume.seen_at(&point);
             let sample = (seen == Some(true)).then(|| self.volume.sample_with_gradient(&point));
             let Some((distance, _)) = sample.flatten() else {
@@ -377,9 +381,7 @@ impl<'a> Caster<'a> {
         };
         for _ in 0..2 {
             let z = crossing(front, back);
-            let (distance, _) = self
-                .volume
-                .sample_with_gradient(&(self.origin + direction * z))?;
+            let (distance, _) = self.volume.sample_with_gradient(&self.at(direction, z))?;
             if distance > 0.0 {
                 front = (z, distance);
             } else {
@@ -394,7 +396,7 @@ impl<'a> Caster<'a> {
         } else {
             crossing(front, back)
         };
-        let point = self.origin + direction * z;
+        let point = self.at(direction, z);
         let (_, gradient) = self.volume.sample_with_gradient(&point)?;
         let normal = gradient.try_normalize(0.1)?;
         (normal.dot(direction) < 0.0).then_some((point, normal))

@@ -13,7 +13,7 @@ use super::noise::DepthNoise;
 use super::preprocess::SAME_SURFACE_SIGMAS;
 use super::track::STEADY_SECS;
 use super::volume::TsdfVolume;
-use crate::geometry::{CellGrid, Pose, RayGrid};
+use crate::geometry::{CellGrid, Pose, RayGrid, increment_of};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
@@ -167,9 +167,9 @@ pub fn velocities(path: &[Waypoint]) -> Vec<Vector6<f64>> {
             return Vector6::zeros();
         }
         let [from, here, to] = [start, index, end].map(|at| &path[at].world_from_camera);
-        let turn = (from.rotation.inverse() * to.rotation).scaled_axis();
+        let turn = from.rotation.inverse() * to.rotation;
         let shift = here.rotation.inverse() * (to.translation.vector - from.translation.vector);
-        Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z) / passed
+        increment_of(&Pose::from_parts(shift.into(), turn)) / passed
     };
     (0..path.len()).map(at).collect()
 }
@@ -379,7 +379,7 @@ mod tests {
                 n_frames: 1,
             });
         }
-        RollingShutter::measure(&keyframes, &fusion.volume, &rays)
+        RollingShutter::measure(&keyframes, &fusion.fused.volume, &rays)
     }
 
     #[test]

@@ -3,15 +3,15 @@
 //! The residual of a point is the distance that the volume keeps at its place, the derivative the gradient there, so that
 //! neither a raycast nor a pairing comes between frame and model. It needs a start within the truncation distance.
 
-use super::icp::{Rotation, is_small, rows, turn};
+use super::icp::is_small;
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, huber_weight};
 use super::points::{self, Points, Residuals};
 use super::pyramid::{Level, N_REDUCED};
 use super::sampling::Samples;
 use super::volume::TsdfVolume;
-use crate::geometry::Pose;
 use crate::geometry::lanes::{LANES, Lane};
+use crate::geometry::{Pose, Rigid};
 use pulp::Arch;
 
 /// Aligns a frame to the volume from a first guess, on the images reduced by 8 and then by 4, with so many iterations at
@@ -78,18 +78,15 @@ pub fn equations(
 /// A volume that is asked about the points of a frame.
 pub struct Ask<'a> {
     volume: &'a TsdfVolume,
-    rotation: Rotation,
-    centre: [f32; 3],
+    world_from_camera: Rigid,
 }
 
 impl<'a> Ask<'a> {
     /// About frames taken from a pose.
     pub fn new(volume: &'a TsdfVolume, world_from_camera: &Pose) -> Self {
-        let rotation = world_from_camera.rotation.to_rotation_matrix();
         Ask {
             volume,
-            rotation: rows(rotation.matrix()),
-            centre: world_from_camera.translation.vector.cast::<f32>().into(),
+            world_from_camera: Rigid::new(world_from_camera),
         }
     }
 
@@ -98,7 +95,7 @@ impl<'a> Ask<'a> {
     pub fn about(&self, points: &Points, lever: &mut [Lane; 3]) -> Samples {
         *lever = self.in_world(&points.point);
         let mut places = *lever;
-        for (place, centre) in places.iter_mut().zip(self.centre) {
+        for (place, centre) in places.iter_mut().zip(self.world_from_camera.shift) {
             place.iter_mut().for_each(|place| *place += centre);
         }
         let mut wanted = [false; LANES];
@@ -114,7 +111,7 @@ impl<'a> Ask<'a> {
         let mut turned = [[0.0; LANES]; 3];
         for i in 0..LANES {
             let vector = [vectors[0][i], vectors[1][i], vectors[2][i]];
-            let vector = turn(&self.rotation, &vector, &[0.0; 3]);
+            let vector = self.world_from_camera.turn(vector);
             for axis in 0..3 {
                 turned[axis][i] = vector[axis];
             }

@@ -4,11 +4,10 @@
 //! of boxes around the blocks, so that they are never too narrow.
 
 use super::block::{BLOCK_SIDE, BlockCoord};
-use super::icp::{rows, turn};
 use super::preprocess::DepthRange;
 use super::pyramid::RayPlanes;
 use super::volume::TsdfVolume;
-use crate::geometry::Pose;
+use crate::geometry::{Pose, Rigid};
 
 /// Side of a cell at unit depth: a block of 2 mm voxels at 0.8 m.
 const CELL: f32 = 0.02;
@@ -39,16 +38,13 @@ impl Sight {
         range: DepthRange,
     ) -> Self {
         let mut sight = Sight::over(rays);
-        let camera_from_world = world_from_camera.inverse();
-        let rotation = rows(camera_from_world.rotation.to_rotation_matrix().matrix());
-        let offset: [f32; 3] = camera_from_world.translation.vector.cast::<f32>().into();
+        let camera_from_world = Rigid::new(&world_from_camera.inverse());
         let side_m = volume.voxel_size_m() * BLOCK_SIDE as f32;
         // Half the side of the box around a turned block, on each axis of the camera.
-        let reach = rotation.map(|row| 0.5 * side_m * row.iter().map(|x| x.abs()).sum::<f32>());
-        let centre = |coord: &BlockCoord| {
-            let centre = coord.map(|c| (c as f32 + 0.5) * side_m);
-            turn(&rotation, &centre, &offset)
-        };
+        let half_width = |row: [f32; 3]| 0.5 * side_m * row.iter().map(|x| x.abs()).sum::<f32>();
+        let reach = camera_from_world.rows.map(half_width);
+        let centre =
+            |coord: &BlockCoord| camera_from_world.point(coord.map(|c| (c as f32 + 0.5) * side_m));
         for coord in volume.coords() {
             sight.add(centre(coord), reach, range);
         }

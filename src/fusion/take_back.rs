@@ -4,9 +4,11 @@
 //! at the poses at which they were fused. Where memory was short, that is every second or fourth of them, which then count for
 //! those between.
 
+use super::fused_volume::FusedVolume;
 use super::improvement::{Counted, Improvement, Work};
 use super::locate::Before;
-use super::{Fusion, MODEL_LEVEL, loop_closing, pose_correction::PoseCorrection, track::Track};
+use super::track::Track;
+use super::{Fusion, MODEL_LEVEL, PoseCorrection};
 use crate::geometry::Pose;
 
 impl Fusion {
@@ -25,16 +27,16 @@ impl Fusion {
             infrared.forget_after(after_secs);
         }
         // The old volume goes first: two of them might not find room.
-        self.replace_volume(self.params.empty_volume(), Default::default());
+        self.replace_volume(FusedVolume::untouched(self.params.empty_volume()));
         let (frames, nowhere) = (self.keyframes.frames(), PoseCorrection::default());
-        let anew = (&mut self.volume, &mut self.band);
         // What is half taken back is no model: it cannot be stopped.
         let goes_on = |improvement| {
             told(improvement);
             true
         };
         let step = Counted::new(Work::TakeBack, frames.len(), &goes_on);
-        loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| step.goes_on());
+        self.fused
+            .fuse_again(frames, &nowhere, &self.eye, &|| step.goes_on());
         self.stretch = self.n_fused;
         self.interrupt();
         self.look_from_last();
@@ -45,7 +47,7 @@ impl Fusion {
     pub(super) fn look_from(&mut self, world_from_camera: &Pose) {
         if let Some(map) = &mut self.model {
             self.eye
-                .look(MODEL_LEVEL, &self.volume, world_from_camera, map);
+                .look(MODEL_LEVEL, &self.fused.volume, world_from_camera, map);
         }
     }
 

@@ -7,12 +7,12 @@
 //!
 //! Not handled: what is thinner than the narrow band, and parts whose other side no view has seen.
 
-use super::band::Band;
 use super::block::{BLOCK_SIDE, BRICK_SIDE, BRICK_VOXELS, BRICKS, Block, BlockCoord, UNSEEN};
+use super::fused_volume::FusedVolume;
 use super::improvement::{Counted, GoesOn, Work};
 use super::volume::TsdfVolume;
-use super::{Fusion, PoseCorrection, loop_closing, marching_cubes};
-use crate::geometry::{PointGrid, TriMesh, area_vector};
+use super::{Fusion, PoseCorrection, marching_cubes};
+use crate::geometry::{PointGrid, TriMesh, cell_of, facing_side};
 use nalgebra::{Point3, Vector3};
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -39,20 +39,17 @@ impl Fusion {
         if frames.is_empty() || params.thin_truncation_voxels >= params.truncation_voxels {
             return 0;
         }
-        let mut narrow = params.thin_volume();
-        let mut band = Band::default();
+        let mut narrow = FusedVolume::untouched(params.thin_volume());
         let step = Counted::new(Work::SeparateThinParts, frames.len(), goes_on);
-        let anew = (&mut narrow, &mut band);
-        let (eye, goes_on) = (&self.eye, || step.goes_on());
-        let is_whole = loop_closing::fuse_again(anew, frames, correction, eye, &goes_on);
-        if !is_whole || band.refused().n_over_budget > 0 {
+        let is_whole = narrow.fuse_again(frames, correction, &self.eye, &|| step.goes_on());
+        if !is_whole || narrow.band.refused().n_over_budget > 0 {
             return 0;
         }
         let min_weight = params.min_surface_weight as f32;
-        let mesh = marching_cubes::marching_cubes(self.eye.arch, &narrow, min_weight);
+        let mesh = marching_cubes::marching_cubes(self.eye.arch, &narrow.volume, min_weight);
         let thin = bricks_of_thin_parts(&mesh, params.voxel_size_m, params.truncation_m());
         self.volume_number += usize::from(!thin.is_empty());
-        replace(&mut self.volume, &narrow, &thin)
+        replace(&mut self.fused.volume, &narrow.volume, &thin)
     }
 }
 
@@ -86,32 +83,36 @@ fn bricks_of_thin_parts(mesh: &TriMesh, voxel_size_m: f64, reach_m: f64) -> Hash
     thin.flat_map(|facet| around(facet.brick, reach)).collect()
 }
 
+/// What the faces of a facet add up to.
+#[derive(Default)]
+struct FacetSums {
+    /// Area vectors, which are shorter together than one by one where the surface is curved.
+    areas: Vector3<f64>,
+    /// Lengths of the area vectors.
+    weight: f64,
+    /// Centres by these weights.
+    moments: Vector3<f64>,
+}
+
 /// A mesh's surface by bricks and, within them, by the axis that it faces most.
 fn facets(mesh: &TriMesh, brick_m: f64) -> Vec<Facet> {
-    let mut sums: HashMap<(BrickCoord, usize), (Vector3<f64>, Vector3<f64>)> = HashMap::new();
+    let mut sums: HashMap<(BrickCoord, usize), FacetSums> = HashMap::new();
     for face in 0..mesh.faces.len() {
-        let corners = mesh.corners(face);
-        let area = area_vector(corners);
-        let centre = corners
-            .iter()
-            .map(|corner| corner.coords)
-            .sum::<Vector3<f64>>()
-            / 3.0;
-        let brick = (centre / brick_m).map(|x| x.floor() as i32).into();
-        let axis = area.iamax();
-        let direction = 2 * axis + usize::from(area[axis] < 0.0);
-        let (areas, moments) = sums.entry((brick, direction)).or_default();
-        *areas += area;
-        *moments += centre * area.norm();
+        let (area, centre) = (mesh.face_normal(face), mesh.centroid(face));
+        let place = (cell_of(&centre, brick_m), facing_side(&area));
+        let sums = sums.entry(place).or_default();
+        sums.areas += area;
+        sums.weight += area.norm();
+        sums.moments += centre.coords * area.norm();
     }
     // Area vectors are twice the area long.
     let min_norm = 2.0 * MIN_AREA_SHARE * brick_m * brick_m;
     sums.into_iter()
-        .filter(|(_, (areas, _))| areas.norm() > min_norm)
-        .map(|((brick, _), (areas, moments))| Facet {
+        .filter(|(_, sums)| sums.areas.norm() > min_norm)
+        .map(|((brick, _), sums)| Facet {
             brick,
-            centre: Point3::from(moments / areas.norm()),
-            normal: areas / areas.norm(),
+            centre: Point3::from(sums.moments / sums.weight),
+            normal: sums.areas / sums.areas.norm(),
         })
         .collect()
 }

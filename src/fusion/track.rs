@@ -1,6 +1,6 @@
 //! The camera's recent motion, carried on to guess where the next frame was taken.
 
-use crate::geometry::{Pose, increment};
+use crate::geometry::{Pose, increment, increment_of};
 use nalgebra::Vector6;
 
 /// Over gaps up to this long the camera goes on as it did; over longer ones it may have turned back, or be elsewhere.
@@ -67,10 +67,8 @@ impl Track {
     /// The track after one more frame; the first one is no motion.
     pub fn moved_to(&self, world_from_camera: Pose, time_secs: f64, has_moved: bool) -> Self {
         let elapsed = time_secs - self.time_secs;
-        let step = self.world_from_camera.inverse() * world_from_camera;
         let (velocity, last_step) = if has_moved && elapsed > 0.0 && elapsed < MAX_PREDICTION_SECS {
-            let (turn, shift) = (step.rotation.scaled_axis(), step.translation.vector);
-            let step = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+            let step = increment_of(&(self.world_from_camera.inverse() * world_from_camera));
             (step / elapsed, step)
         } else {
             (Vector6::zeros(), self.last_step)

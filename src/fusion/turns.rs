@@ -3,10 +3,10 @@
 //! Frames of one second show a place thirty times, with errors that are alike from frame to frame, and half of them make as good a
 //! model to track by. At the end of a scan all frames are fused anyhow, with their depth corrected and loops closed.
 
-use super::band::Band;
 use super::block::BlockCoord;
+use super::fused_volume::FusedVolume;
 use super::improvement::{Counted, GoesOn, Work};
-use super::{Fusion, PoseCorrection, loop_closing};
+use super::{Fusion, PoseCorrection};
 
 /// In how many frames a block that is not new is fused once, neighbours by turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,13 +51,12 @@ impl Fusion {
             return false;
         }
         let frames = self.keyframes.frames();
-        let (mut volume, mut band) = (self.params.empty_volume(), Band::default());
+        let mut fused = FusedVolume::untouched(self.params.empty_volume());
         let step = Counted::new(Work::FuseWhole, frames.len(), goes_on);
-        let (anew, nowhere) = ((&mut volume, &mut band), PoseCorrection::default());
-        let is_whole =
-            loop_closing::fuse_again(anew, frames, &nowhere, &self.eye, &|| step.goes_on());
+        let nowhere = PoseCorrection::default();
+        let is_whole = fused.fuse_again(frames, &nowhere, &self.eye, &|| step.goes_on());
         if is_whole {
-            self.replace_volume(volume, band);
+            self.replace_volume(fused);
             self.turns = Turns::EVERY_FRAME;
         }
         is_whole
@@ -98,7 +97,8 @@ mod tests {
                 off.translation_m < 0.004 && off.rotation_rad < 0.01,
                 "{off:?}"
             );
-            let share = by_turns.band.touched().len() as f64 / every.band.touched().len() as f64;
+            let n_touched = |fusion: &Fusion| fusion.fused.band.touched().len() as f64;
+            let share = n_touched(&by_turns) / n_touched(&every);
             let expected = if k == 0 { 1.0 } else { 0.5 };
             assert!((share - expected).abs() < 0.1, "frame {k}: {share}");
         }
@@ -149,7 +149,7 @@ mod tests {
         for frame in &frames {
             fuse(&mut every, frame);
             fuse(&mut by_turns, frame);
-            assert_eq!(every.band.touched(), by_turns.band.touched());
+            assert_eq!(every.fused.band.touched(), by_turns.fused.band.touched());
         }
         assert!(!by_turns.complete(&|_| true));
     }

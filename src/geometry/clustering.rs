@@ -4,7 +4,7 @@
 //! Every cell of a grid keeps one of its vertices, so that whatever is known of vertices stays true. Not handled: topology;
 //! thin parts may close.
 
-use super::TriMesh;
+use super::{TriMesh, cell_of};
 use nalgebra::Point3;
 use std::collections::{HashMap, HashSet};
 
@@ -105,7 +105,7 @@ fn cells(positions: &[[f32; 3]], cell_m: f64) -> (Vec<u32>, usize) {
     let cell_of_vertex = positions
         .iter()
         .map(|position| {
-            let cell = position.map(|x| (f64::from(x) / cell_m).floor() as i32);
+            let cell = cell_of(&Point3::from(*position).cast(), cell_m);
             let next = numbers.len() as u32;
             *numbers.entry(cell).or_insert(next)
         })

@@ -4,6 +4,7 @@
 //! vertex one fan of faces. Its border then falls into loops that meet neither themselves nor one another.
 
 use super::TriMesh;
+use super::disjoint_sets::DisjointSets;
 
 /// A mesh cut into a manifold.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,7 +52,7 @@ pub fn cut_to_manifold(mesh: &TriMesh) -> Manifold {
     faces.retain(|&[a, b, c]| a != b && b != c && c != a);
     let sides = sides(&faces);
     // Corners of faces that are joined at an edge belong to one vertex, at both of its ends.
-    let mut joined = Joined::new(3 * faces.len());
+    let mut joined = DisjointSets::new(3 * faces.len());
     for pair in sides.chunk_by(|a, b| a.edge == b.edge) {
         if let [forth, back] = pair
             && forth.is_reversed != back.is_reversed
@@ -75,29 +76,6 @@ pub fn cut_to_manifold(mesh: &TriMesh) -> Manifold {
     Manifold {
         mesh: TriMesh { vertices, faces },
         from,
-    }
-}
-
-/// Sets of corners that are one.
-struct Joined(Vec<u32>);
-
-impl Joined {
-    fn new(n_corners: usize) -> Self {
-        Joined((0..n_corners as u32).collect())
-    }
-
-    fn root(&mut self, mut corner: u32) -> u32 {
-        let parent = &mut self.0;
-        while parent[corner as usize] != corner {
-            parent[corner as usize] = parent[parent[corner as usize] as usize];
-            corner = parent[corner as usize];
-        }
-        corner
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b) as usize] = a.min(b);
     }
 }
 

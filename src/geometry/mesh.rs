@@ -1,6 +1,7 @@
 //! Indexed triangle meshes.
 
 use super::Lists;
+use super::disjoint_sets::DisjointSets;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::ops::{Add, AddAssign, Div};
@@ -22,6 +23,12 @@ pub struct TriMesh {
 /// The normal of a triangle, twice its area long (m²): `(b−a)×(c−a)`.
 pub fn area_vector([a, b, c]: [Point3<f64>; 3]) -> Vector3<f64> {
     (b - a).cross(&(c - a))
+}
+
+/// The side of a cube that a normal faces most: twice the axis, and one more if it points against that.
+pub fn facing_side(normal: &Vector3<f64>) -> usize {
+    let axis = normal.iamax();
+    2 * axis + usize::from(normal[axis] < 0.0)
 }
 
 impl TriMesh {
@@ -98,6 +105,20 @@ impl TriMesh {
         sums
     }
 
+    /// Mean of the vertices; not a number without any.
+    pub fn centre(&self) -> Point3<f64> {
+        let vertices = self.vertices.iter();
+        let sum = vertices.fold(Vector3::zeros(), |sum, vertex| sum + vertex.coords);
+        Point3::from(sum / self.vertices.len() as f64)
+    }
+
+    /// How far the farthest vertex is from a point, metres; 0 without any.
+    pub fn radius_about(&self, point: &Point3<f64>) -> f64 {
+        let vertices = self.vertices.iter();
+        let squared = vertices.map(|vertex| (vertex - point).norm_squared());
+        squared.fold(0.0, f64::max).sqrt()
+    }
+
     /// Whole surface area, m².
     pub fn area_m2(&self) -> f64 {
         (0..self.faces.len())
@@ -132,19 +153,10 @@ impl TriMesh {
     /// The component of each face, faces being joined where they share a vertex; components are numbered by their first
     /// face. Also returns how many there are.
     pub fn face_components(&self) -> (Vec<u32>, usize) {
-        let mut parent: Vec<u32> = (0..self.vertices.len() as u32).collect();
-        fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
-            while parent[vertex as usize] != vertex {
-                parent[vertex as usize] = parent[parent[vertex as usize] as usize];
-                vertex = parent[vertex as usize];
-            }
-            vertex
-        }
+        let mut joined = DisjointSets::new(self.vertices.len());
         for &[a, b, c] in &self.faces {
-            for (p, q) in [(a, b), (b, c)] {
-                let (p, q) = (root(&mut parent, p), root(&mut parent, q));
-                parent[p.max(q) as usize] = p.min(q);
-            }
+            joined.join(a, b);
+            joined.join(b, c);
         }
         let mut label_of_root = vec![u32::MAX; self.vertices.len()];
         let mut n_components = 0;
@@ -152,7 +164,7 @@ impl TriMesh {
             .faces
             .iter()
             .map(|face| {
-                let label = &mut label_of_root[root(&mut parent, face[0]) as usize];
+                let label = &mut label_of_root[joined.root(face[0]) as usize];
                 if *label == u32::MAX {
                     *label = n_components;
                     n_components += 1;

@@ -8,15 +8,19 @@ mod bvh;
 pub(crate) mod camera;
 mod cells;
 mod clustering;
+mod disjoint_sets;
 pub mod lanes;
 mod lens;
 mod lists;
 mod manifold;
 mod mesh;
+mod motion_equations;
 mod patch;
+mod plane;
 mod point_grid;
 mod pose;
 mod rasterise;
+mod rigid;
 mod triangle;
 mod watertight;
 
@@ -27,11 +31,15 @@ pub use clustering::{Clustering, cluster_vertices, coarsened};
 pub use lens::{Lens, LocalLens, Projected};
 pub(crate) use lists::Lists;
 pub use manifold::{Manifold, border_loops, cut_to_manifold};
-pub use mesh::{EdgeAdjacency, TriMesh, area_vector};
+pub use mesh::{EdgeAdjacency, TriMesh, area_vector, facing_side};
+pub use motion_equations::MotionEquations;
 pub use patch::{DepthPatch, PixelSquare};
-pub use point_grid::PointGrid;
+pub use plane::Plane;
+pub use point_grid::{PointGrid, cell_of};
 pub use pose::{
-    Motion, Pose, between, increment, increment_about, mean_pose, motion_between, path_length_m,
+    Motion, Pose, between, increment, increment_about, increment_of, mean_pose, motion_between,
+    path_length_m, point_to_plane_row,
 };
 pub use rasterise::{DepthBuffer, rasterise};
+pub use rigid::Rigid;
 pub use watertight::{Watertight, close_holes};

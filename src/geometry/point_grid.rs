@@ -21,7 +21,7 @@ impl PointGrid {
         let mut items: Vec<_> = points
             .iter()
             .enumerate()
-            .map(|(index, point)| (cell(point, radius), index as u32))
+            .map(|(index, point)| (cell_of(point, radius), index as u32))
             .collect();
         items.sort_unstable();
         PointGrid {
@@ -33,7 +33,7 @@ impl PointGrid {
 
     /// The points no farther than the radius from a place, by their numbers.
     pub fn near(&self, place: &Point3<f64>) -> impl Iterator<Item = usize> + '_ {
-        let centre = cell(place, self.radius);
+        let centre = cell_of(place, self.radius);
         let place = *place;
         (0..9)
             .flat_map(move |column| {
@@ -55,7 +55,8 @@ impl PointGrid {
     }
 }
 
-fn cell(point: &Point3<f64>, width: f64) -> [i32; 3] {
+/// The cell that a point lies in among cubes of some width, counted along each axis from the origin.
+pub fn cell_of(point: &Point3<f64>, width: f64) -> [i32; 3] {
     [point.x, point.y, point.z].map(|x| (x / width).floor() as i32)
 }
 

@@ -22,6 +22,19 @@ pub fn increment_about(centre: &Vector3<f64>, xi: &Vector6<f64>) -> Pose {
     pose
 }
 
+/// The increment that a motion is: the inverse of [`increment`] up to half a turn.
+pub fn increment_of(motion: &Pose) -> Vector6<f64> {
+    let (turn, shift) = (motion.rotation.scaled_axis(), motion.translation.vector);
+    Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
+}
+
+/// How the distance of a point to a plane grows with an increment about a centre: `lever` is the point from that centre, metres,
+/// `normal` the unit normal of the plane.
+pub fn point_to_plane_row(lever: &Vector3<f64>, normal: &Vector3<f64>) -> Vector6<f64> {
+    let (turn, n) = (lever.cross(normal), normal);
+    Vector6::new(turn.x, turn.y, turn.z, n.x, n.y, n.z)
+}
+
 /// How far two poses of a camera are apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
@@ -76,6 +89,24 @@ pub fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_increment_is_found_back_and_moves_a_point_along_a_normal_as_its_row_says() {
+        let xi = Vector6::new(1.3, -0.4, 0.9, 0.1, -0.7, 0.2);
+        assert!((increment_of(&increment(&xi)) - xi).norm() < 1e-12);
+        let (centre, place) = (Vector3::new(0.2, 0.5, -0.3), Vector3::new(0.7, -0.1, 0.9));
+        let normal = Vector3::new(0.48, -0.6, 0.64);
+        let row = point_to_plane_row(&(place - centre), &normal);
+        let step = 1e-5;
+        for k in 0..6 {
+            let moved = |by: f64| {
+                let motion = increment_about(&centre, &(by * Vector6::ith(k, 1.0)));
+                (motion.rotation * place + motion.translation.vector).dot(&normal)
+            };
+            let slope = (moved(step) - moved(-step)) / (2.0 * step);
+            assert!((slope - row[k]).abs() < 1e-8, "{k}: {slope} {}", row[k]);
+        }
+    }
 
     #[test]
     fn mean_pose_lies_halfway() {

@@ -5,7 +5,7 @@
 //! whatever the second one's albedo; its path is longer by the way from light to patch to patch over that from the light.
 
 use crate::geometry::lanes::LANES;
-use crate::interreflection::{Lit, MIN_DISTANCE_M, Sources};
+use crate::interreflection::{Lit, Sources, Way};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::ops::{Add, Mul};
@@ -77,26 +77,21 @@ impl WithSimd for Received<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Bounce {
         let Lit {
-            point: [px, py, pz],
-            normal: [nx, ny, nz],
+            point,
+            normal,
             direct,
             light_m,
             ..
         } = *self.patch;
         let (mut light, mut longer) = ([0.0f32; LANES], [0.0f32; LANES]);
-        for [x, y, z, mx, my, mz, power, source_light_m] in self.sources.steps() {
+        for step in self.sources.steps() {
             for i in 0..LANES {
-                let (dx, dy, dz) = (x[i] - px, y[i] - py, z[i] - pz);
-                let squared = dx * dx + dy * dy + dz * dz;
-                let here = nx * dx + ny * dy + nz * dz;
-                let there = -(mx[i] * dx + my[i] * dy + mz[i] * dz);
-                let here = if here > 0.0 { here } else { 0.0 };
-                let there = if there > 0.0 { there } else { 0.0 };
-                let nearest = MIN_DISTANCE_M * MIN_DISTANCE_M;
-                let apart = if squared > nearest { squared } else { nearest };
-                let sent = power[i] * (here * there) / (apart * apart);
+                let way = Way::new(step, i, point, normal);
+                let here = if way.here > 0.0 { way.here } else { 0.0 };
+                let there = if way.there > 0.0 { way.there } else { 0.0 };
+                let sent = way.power * (here * there) / way.to_the_fourth;
                 light[i] += sent;
-                longer[i] += sent * (source_light_m[i] + squared.sqrt() - light_m);
+                longer[i] += sent * (way.light_m + way.squared.sqrt() - light_m);
             }
         }
         Bounce {

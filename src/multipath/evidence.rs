@@ -7,11 +7,11 @@
 //! zero is exact.
 
 use super::RangeBias;
-use crate::geometry::{Pose, RayGrid};
+use crate::geometry::{MotionEquations, Pose, RayGrid, cell_of, point_to_plane_row};
 use crate::interreflection::WhiteLevel;
-use crate::shading::{Tukey, median_absolute_deviation};
+use crate::robust::{Tukey, median_absolute_deviation};
 use depth_camera::Image;
-use nalgebra::{Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -51,6 +51,9 @@ const MIN_VIEWS: usize = 3;
 const MIN_COSINE: f64 = 0.3;
 /// Fewer patches in a view and its pose takes up all that there is.
 const MIN_PATCHES: usize = 50;
+/// Motions that the patches of a view do not hold are damped by this share of all that they hold. What is predicted and what is found
+/// lose the same motions, so that it need only outweigh rounding.
+const DAMPING: f64 = 1e-9;
 /// Reweighting settles within ten rounds.
 const ROUNDS: usize = 15;
 
@@ -117,12 +120,12 @@ fn samples(
         if 2 * n < n_pixels {
             return None;
         }
-        let point = point / f64::from(n);
+        let point = Point3::from(point / f64::from(n));
         let normal = normal.try_normalize(0.0)?;
-        let cosine = normal.dot(&(eye - point).try_normalize(0.0)?);
+        let cosine = normal.dot(&(eye - point.coords).try_normalize(0.0)?);
         (cosine >= MIN_COSINE).then(|| Sample {
-            place: (point / PLACE_M).map(|x| x.floor() as i32).into(),
-            point: Point3::from(point),
+            place: cell_of(&point, PLACE_M),
+            point,
             normal,
             cosine,
             beta_m: bounce.bias_by_strength_m(white) * cosine,
@@ -167,29 +170,17 @@ fn without_motion(
         .map(|(s, _)| s.point.coords)
         .sum::<Vector3<f64>>()
         / compared.len() as f64;
-    let motion = |sample: &Sample| {
-        let turn = (sample.point.coords - middle).cross(&sample.normal);
-        let n = sample.normal;
-        Vector6::new(turn.x, turn.y, turn.z, n.x, n.y, n.z)
-    };
-    let (mut normal_matrix, mut of_x, mut of_y) =
-        (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
-    for (sample, predicted) in &compared {
-        let row = motion(sample);
-        normal_matrix += row * row.transpose();
-        of_x += row * *predicted;
-        of_y += row * sample.depth_m;
-    }
-    let damping = 1e-9 * normal_matrix.trace();
-    let Some(factor) = (normal_matrix + Matrix6::identity() * damping).cholesky() else {
+    let row = |sample: &Sample| point_to_plane_row(&(sample.point.coords - middle), &sample.normal);
+    let rows = compared.iter().map(|(sample, _)| (row(sample), 1.0));
+    let Some(motion) = MotionEquations::new(rows.collect(), DAMPING) else {
         return;
     };
-    let (of_x, of_y) = (factor.solve(&of_x), factor.solve(&of_y));
-    for (sample, predicted) in &compared {
-        let row = motion(sample);
-        x.push(predicted - row.dot(&of_x));
-        y.push(sample.depth_m - row.dot(&of_y));
-    }
+    let values = compared
+        .iter()
+        .map(|(s, predicted)| (*predicted, s.depth_m));
+    let (predicted, found): (Vec<f64>, Vec<f64>) = values.unzip();
+    x.extend(motion.left_of(&predicted));
+    y.extend(motion.left_of(&found));
 }
 
 /// The slope of y over x through the origin, by iteratively reweighted least squares.
@@ -204,7 +195,7 @@ fn robust_slope(x: &[f64], y: &[f64]) -> Option<Evidence> {
         }
         let tukey = Tukey {
             scale,
-            cutoff: 4.685,
+            cutoff: Tukey::EFFICIENT_CUTOFF,
         };
         let (mut xx, mut xy, mut rr, mut weights) = (0.0, 0.0, 0.0, 0.0);
         for (x, y) in x.iter().zip(y) {

@@ -62,7 +62,7 @@ impl Multipath {
     pub fn new(info: &CameraInfo, calibration: &Calibration) -> Option<Self> {
         let (light, full_scale) = (info.light.as_ref()?, info.ir_full_scale?);
         let is_lit_flight = info.sensor == Sensor::Kinect2 && light.kind == LightKind::Emitter;
-        let light: NearLight = calibration.light.near_light(light);
+        let light: NearLight = calibration.light.near_light(light.position_m);
         let rays = RayGrid::new(CameraModel::new(info.intrinsics));
         is_lit_flight.then(|| Multipath {
             grid: PatchGrid::new(rays, light, full_scale, calibration),

@@ -33,7 +33,7 @@ const SHOWN_SHARE: f64 = 0.5;
 /// Shares beyond these bounds are noise.
 const SHOWN_SHARES: [f64; 2] = [0.25, 1.0];
 /// A scan is fused again for a larger change of strength than this share.
-const TOLERANCE: f64 = 0.1;
+const TOLERANCE: f64 = 0.04;
 
 impl WhiteSearch {
     /// A search that starts from what is plausible.

@@ -103,7 +103,7 @@ impl Scene {
         let light = self
             .calibration
             .light
-            .near_light(&self.info.light.expect("given"));
+            .near_light(self.info.light.expect("given").position_m);
         let (mut depth, mut ir) = (Vec::new(), Vec::new());
         for &[x, y] in rays.rays().data() {
             let ray = Vector3::new(f64::from(x), f64::from(y), 1.0);
@@ -384,7 +384,7 @@ fn a_prediction_by_a_wrong_response_becomes_that_of_the_right_one() {
             .collect();
         assert!(errors.len() > 100);
         // What holds a border of the ball is off by more.
-        assert!(crate::shading::median(&mut errors) < Some(1e-3));
+        assert!(crate::robust::median(&mut errors) < Some(1e-3));
     }
     let depth = frame.depth.as_ref().expect("given");
     let WhiteLevel(white) = right.plausible_white(depth, &prediction).expect("seen");

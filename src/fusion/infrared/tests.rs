@@ -53,7 +53,7 @@ fn fusion(camera: &SimulatedCamera, with_infrared: bool) -> Fusion {
     let calibration = Calibration::shipped(Sensor::Kinect2).expect("shipped");
     let stated = info.light.expect("Kinect II");
     let optics = InfraredOptics {
-        light: calibration.light.near_light(&stated),
+        light: calibration.light.near_light(stated.position_m),
         full_scale: info.ir_full_scale.expect("Kinect II"),
         calibration,
     };

@@ -37,11 +37,10 @@ fn closed_while(
     goes_on: &GoesOn,
 ) -> Option<ClosedLoops> {
     let nothing_moved = PoseCorrection::default();
-    let (mut live, mut band) = (params.empty_volume(), Band::default());
-    let anew = (&mut live, &mut band);
+    let mut live = FusedVolume::untouched(params.empty_volume());
     let frames = keyframes.frames();
-    fuse_again(anew, frames, &nothing_moved, eye, &|| true);
-    find(frames, eye, params, goes_on)?.judged(&live)
+    live.fuse_again(frames, &nothing_moved, eye, &|| true);
+    find(frames, eye, params, goes_on)?.judged(&live.volume)
 }
 
 /// Fragments so short that a swing of few frames has several.
@@ -148,10 +147,9 @@ fn frames_that_memory_has_no_room_for_are_not_missing_from_the_surface() {
     let area_m2 = |frames: &[Keyframe]| {
         // Four frames weigh less than this where each is fused as one.
         let min_weight = 4.0;
-        let (mut volume, mut band) = (params.empty_volume(), Band::default());
-        let anew = (&mut volume, &mut band);
-        fuse_again(anew, frames, &PoseCorrection::default(), &eye, &|| true);
-        marching_cubes(eye.arch, &volume, min_weight).area_m2()
+        let mut fused = FusedVolume::untouched(params.empty_volume());
+        fused.fuse_again(frames, &PoseCorrection::default(), &eye, &|| true);
+        marching_cubes(eye.arch, &fused.volume, min_weight).area_m2()
     };
     let whole_m2 = area_m2(&all);
     assert!(whole_m2 > 0.01, "{whole_m2}");

@@ -1,12 +1,14 @@
-//! A plate of 3 mm, seen from both sides.
+//! A plate of 3 mm, seen from both sides, and curved surfaces far from the world's origin.
 
 use super::*;
+use crate::fusion::sampling::tests::volume_of;
 use crate::fusion::tests::small_params;
 use crate::fusion::{DepthNoise, FusionParams};
 use crate::geometry::camera::tests::distorted_camera;
 use crate::geometry::{Pose, RayGrid};
 use depth_camera::{Image, Sensor};
 use nalgebra::{Translation3, UnitQuaternion};
+use pulp::Arch;
 
 const THICKNESS_M: f64 = 0.003;
 const FRONT_M: f64 = 0.6;
@@ -98,6 +100,38 @@ fn nothing_is_changed_where_nothing_is_thin_or_nobody_waits() {
     fusion.keyframes.truncate(1);
     assert_eq!(fusion.separate_thin_parts(&nowhere, &|_| true), 0);
     assert_eq!(fusion.mesh().vertices, before.vertices);
+}
+
+/// The surface where a distance (m) from the middle is 0, in voxels of 2 mm, about a metre from the world's origin.
+fn far_off(distance_m: impl Fn(f64) -> f64) -> TriMesh {
+    let volume = volume_of(0.01, |x, y, z| distance_m((x * x + y * y + z * z).sqrt()));
+    let mut mesh = marching_cubes::marching_cubes(Arch::new(), &volume, 1.0);
+    for vertex in &mut mesh.vertices {
+        *vertex += Vector3::new(0.31, -0.22, 0.87);
+    }
+    mesh
+}
+
+#[test]
+fn a_curved_shell_is_thin_and_a_ball_is_not_however_far_from_the_origin() {
+    let (voxel_size_m, reach_m) = (0.002, 0.01);
+    let brick_m = voxel_size_m * BRICK_SIDE as f64;
+    // From 15 mm to 19 mm: within a brick the normals turn by 25°.
+    let shell = far_off(|radius_m| (radius_m - 0.017).abs() - 0.002);
+    let facets = facets(&shell, brick_m);
+    assert!(facets.len() > 100, "{}", facets.len());
+    // A mean of places in a brick lies in it.
+    for Facet { brick, centre, .. } in &facets {
+        for axis in 0..3 {
+            let in_brick = centre[axis] / brick_m - f64::from(brick[axis]);
+            assert!((-1e-9..1.0 + 1e-9).contains(&in_brick), "{in_brick}");
+        }
+    }
+    let thin = bricks_of_thin_parts(&shell, voxel_size_m, reach_m);
+    assert!(facets.iter().all(|facet| thin.contains(&facet.brick)));
+
+    let ball = far_off(|radius_m| radius_m - 0.019);
+    assert!(bricks_of_thin_parts(&ball, voxel_size_m, reach_m).is_empty());
 }
 
 #[test]
