@@ -3,6 +3,9 @@
 use super::state::State;
 use nalgebra::{DMatrix, DVector};
 
+/// Half the width of a 95 % confidence interval, in standard deviations.
+pub const INTERVAL_SIGMAS: f64 = 1.96;
+
 /// A value with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
@@ -15,7 +18,7 @@ pub struct Measured {
 impl Measured {
     /// Half the width of the 95 % confidence interval.
     pub fn half_width(&self) -> f64 {
-        1.96 * self.sigma
+        INTERVAL_SIGMAS * self.sigma
     }
 }
 

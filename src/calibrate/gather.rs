@@ -1,15 +1,17 @@
 //! From a stream of frames to the images that a calibration needs: of a wall, or of a sphere.
 
+use super::lit_images::LitImages;
 use super::plane::{Plane, dominant_plane};
 use super::refusal::Refusal;
-use super::samples::SATURATION;
-use super::sphere::{BallRadius, FoundSphere, find_sphere};
+use super::sphere::{BallRadius, FoundSphere, MIN_COVERAGE, best_sphere};
 use crate::fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome};
-use crate::geometry::{CameraModel, Pose, RayGrid};
-use crate::shading::without_ambient;
-use crate::snapshot::{HeldPose, ShadingSnapshot, SnapshotParams, SnapshotSelector, TrackedFrame};
-use depth_camera::{CameraInfo, Frame, Image, Sensor};
+use crate::geometry::{CameraModel, RayGrid};
+use crate::robust::median;
+use crate::shading::{SATURATION, without_ambient};
+use crate::snapshot::{HeldPose, ShadingSnapshot, TrackedFrame};
+use depth_camera::{CameraInfo, Frame, Image};
 use nalgebra::Point3;
+use std::fmt;
 
 /// What one session shows.
 #[derive(Clone, Debug)]
@@ -18,10 +20,34 @@ pub struct Scan {
     pub name: String,
     /// What is in view.
     pub target: Target,
+    /// What that was told by.
+    pub shares: Shares,
     /// The images, in order of time.
     pub images: Vec<TargetImage>,
-    /// IR images that could not be used: without depth, without a pose, under speckle.
+    /// IR images that were not used: without depth, without a pose, under speckle; of a Kinect I those, too, that others outdo, and of
+    /// a long session the latest thousands.
     pub n_unused: usize,
+}
+
+/// How much of a session is a plane, and how much of a sphere it shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shares {
+    /// Share of the depth that lies on one plane, median over the frames.
+    pub plane: f64,
+    /// Share of its front that the session shows of the best sphere; 0 without any.
+    pub sphere: f64,
+}
+
+impl fmt::Display for Shares {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "a plane holds {:.0} % of the depth, and the best sphere shows {:.0} % of its front, must be at least {:.0} %",
+            100.0 * self.plane,
+            100.0 * self.sphere,
+            100.0 * MIN_COVERAGE
+        )
+    }
 }
 
 /// What a calibration looks at.
@@ -77,72 +103,65 @@ pub enum Place {
     Sphere(Point3<f64>),
 }
 
-/// Images of one scan at most; a scan with more keeps every second, every fourth, …
-const MAX_IMAGES: usize = 32;
 /// A wall is a plane that holds this share of the depth.
 const WALL_SHARE: f64 = 0.8;
+/// What lies farther before a plane stands out of it, metres: the top of a ball on a table is as high as the ball is wide.
+const STANDING_OUT_M: f64 = 0.03;
+/// A plane is bare where a smaller share of the depth stands out of it. Recorded walls have none, a ball of 10 cm has 0.011 at 0.65 m.
+const MIN_STANDING_OUT: f64 = 0.002;
 /// A sphere is found in a mesh of a few frames, too: half a frontal view makes a surface.
 const MIN_SURFACE_WEIGHT: f64 = 0.5;
 /// Depth images with less valid pixels tell nothing; those of a covered Kinect I stay below 4 %.
 const MIN_VALID_SHARE: f64 = 0.05;
 
 /// Takes the frames of one session in.
+///
+/// A ball on a table may leave a plane as much of the depth as a wall has, so that a frame does not tell which of the two it shows. The
+/// images are taken for both until all frames are seen: then it is a sphere if the frames fused show one, else a wall if most are planes.
 pub struct Gatherer {
     rays: RayGrid,
     noise: DepthNoise,
     fusion: Fusion,
-    /// Kinect I: recognises the images under the lamp.
-    selector: Option<SnapshotSelector>,
-    is_wall: Option<bool>,
-    kept: Vec<ShadingSnapshot>,
-    /// Every so many images are kept.
-    stride: usize,
-    n_seen: usize,
-    n_unused: usize,
+    /// The images if it is a wall: the camera is seen to be where the wall is.
+    of_wall: LitImages,
+    /// The images if it is a sphere: the camera is tracked.
+    of_sphere: LitImages,
+    /// Share of the depth on a plane, frame by frame.
+    plane_shares: Vec<f64>,
 }
 
 impl Gatherer {
     /// A gatherer for one camera; `fusion` must have been validated. `None` if the camera gives no IR or has no light.
     pub fn new(info: &CameraInfo, fusion: FusionParams) -> Option<Self> {
-        let params = SnapshotParams {
-            max_snapshots: 2 * MAX_IMAGES,
-            held_pose: HeldPose::BetweenOrBefore,
-            ..SnapshotParams::default()
-        };
-        let selector = SnapshotSelector::new(info, params)?;
         let camera = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
+        let fusion = FusionParams {
+            min_surface_weight: MIN_SURFACE_WEIGHT,
+            ..fusion
+        };
         Some(Gatherer {
+            of_wall: LitImages::new(info, HeldPose::BetweenUnlessLate)?,
+            of_sphere: LitImages::new(info, HeldPose::BetweenOrBefore)?,
             rays: RayGrid::new(camera),
             noise,
-            fusion: Fusion::new(
-                camera,
-                noise,
-                FusionParams {
-                    min_surface_weight: MIN_SURFACE_WEIGHT,
-                    ..fusion
-                },
-            ),
-            selector: (info.sensor == Sensor::Kinect1).then_some(selector),
-            is_wall: None,
-            kept: Vec::new(),
-            stride: 1,
-            n_seen: 0,
-            n_unused: 0,
+            fusion: Fusion::new(camera, noise, fusion),
+            plane_shares: Vec::new(),
         })
     }
 
-    /// Takes in the next frame: a wall is not fused, since a bare plane does not hold the camera.
+    /// Takes in the next frame.
     pub fn observe(&mut self, frame: &Frame) {
-        let outcome = self.locate(frame);
-        match &mut self.selector {
-            Some(selector) => selector.observe(&TrackedFrame {
-                frame,
-                outcome: &outcome,
-                model: self.fusion.model(),
-            }),
-            None => self.keep(frame, &outcome),
-        }
+        let Located { on_wall, in_model } = self.locate(frame);
+        self.of_wall.observe(&TrackedFrame {
+            frame,
+            outcome: &on_wall,
+            model: None,
+        });
+        self.of_sphere.observe(&TrackedFrame {
+            frame,
+            outcome: &in_model,
+            model: self.fusion.model(),
+        });
     }
 
     /// The images of the session and what they show; `radius` is what is known of the sphere.
@@ -150,160 +169,128 @@ impl Gatherer {
     /// # Errors
     /// If neither a wall nor a sphere is in view, or no image under the light.
     pub fn finish(mut self, name: &str, radius: BallRadius) -> Result<Scan, Refusal> {
-        if let Some(selector) = self.selector.take() {
-            self.kept = selector.finish().accepted;
-        }
-        let Some(is_wall) = self.is_wall else {
-            return Err(Refusal::NoDepth {
-                session: name.to_owned(),
-            });
+        let session = name.to_owned();
+        let Some(plane) = median(&mut self.plane_shares) else {
+            return Err(Refusal::NoDepth { session });
         };
-        let target = match is_wall {
-            true => Target::Wall,
-            false => Target::Sphere(find_sphere(&self.fusion.mesh(), radius, name)?),
+        let sphere = best_sphere(&self.fusion.mesh(), radius);
+        let shares = Shares {
+            plane,
+            sphere: sphere.map_or(0.0, |sphere| sphere.coverage),
         };
-        let n_kept = self.kept.len();
-        let kept = std::mem::take(&mut self.kept);
-        let images: Vec<TargetImage> = kept
-            .into_iter()
-            .filter_map(|snapshot| self.placed(snapshot, target))
+        let (target, selection) = match sphere {
+            Some(sphere) if sphere.coverage >= MIN_COVERAGE => {
+                (Target::Sphere(sphere), self.of_sphere.finish())
+            }
+            _ if plane >= WALL_SHARE => (Target::Wall, self.of_wall.finish()),
+            _ => return Err(Refusal::NoSphere { session, shares }),
+        };
+        let mut reasons = selection.reasons();
+        let n_accepted = selection.accepted.len();
+        let accepted = selection.accepted.into_iter();
+        let images: Vec<TargetImage> = accepted
+            .filter_map(|snapshot| placed(snapshot, target, &self.rays, &self.noise))
             .collect();
-        let n_unused = self.n_unused + n_kept - images.len();
+        let n_elsewhere = n_accepted - images.len();
+        let n_unused = selection.rejected.len() + n_elsewhere;
         if images.is_empty() {
+            if n_elsewhere > 0 {
+                reasons.push(format!("{n_elsewhere} times: the target is not in view"));
+            }
             return Err(Refusal::NoImages {
-                session: name.to_owned(),
+                session,
                 n_unused,
+                reasons: reasons.join("; "),
             });
         }
         Ok(Scan {
-            name: name.to_owned(),
+            name: session,
             target,
+            shares,
             images,
             n_unused,
         })
     }
 
-    fn locate(&mut self, frame: &Frame) -> TrackingOutcome {
+    /// Where the camera is. A bare plane is not fused, since it does not hold the camera.
+    fn locate(&mut self, frame: &Frame) -> Located {
         let Some(depth) = &frame.depth else {
-            return TrackingOutcome::NoDepth;
+            return Located::NOWHERE;
         };
-        if !has_depth(depth) {
+        if frame.depth_share() < MIN_VALID_SHARE {
             // Nobody knows how the camera moves meanwhile.
             self.fusion.interrupt();
-            return TrackingOutcome::NoDepth;
+            return Located::NOWHERE;
         }
-        let (rays, noise) = (&self.rays, &self.noise);
-        let is_wall = *self.is_wall.get_or_insert_with(|| {
-            dominant_plane(depth, rays, noise).is_some_and(|plane| plane.share >= WALL_SHARE)
-        });
-        match is_wall {
-            true => TrackingOutcome::Tracked {
-                world_from_camera: Pose::identity(),
-                fit: None,
-            },
-            false => self.fusion.fuse(depth, frame.device_time_secs),
-        }
-    }
-
-    /// Kinect II: every tracked frame with IR is an image under the light.
-    fn keep(&mut self, frame: &Frame, outcome: &TrackingOutcome) {
-        let Some(ir) = &frame.ir else { return };
-        let TrackingOutcome::Tracked {
-            world_from_camera, ..
-        } = *outcome
-        else {
-            self.n_unused += 1;
-            return;
-        };
-        self.n_seen += 1;
-        if !(self.n_seen - 1).is_multiple_of(self.stride) {
-            return;
-        }
-        self.kept.push(ShadingSnapshot {
-            frame_id: frame.frame_id,
-            device_time_secs: frame.device_time_secs,
-            n_exposures: 1,
-            ir_counts: ir.map(|counts| f32::from(*counts)),
-            unlit_counts: None,
-            depth_m: frame.depth.clone().expect("a tracked frame has depth"),
-            world_from_camera,
-        });
-        if self.kept.len() > MAX_IMAGES {
-            let mut index = 0;
-            self.kept.retain(|_| {
-                index += 1;
-                index % 2 == 1
-            });
-            self.stride *= 2;
-        }
-    }
-
-    /// A snapshot with the place of the target in it; `None` where it shows none.
-    fn placed(&self, snapshot: ShadingSnapshot, target: Target) -> Option<TargetImage> {
-        let place = match target {
-            Target::Wall => dominant_plane(&snapshot.depth_m, &self.rays, &self.noise)
-                .filter(|plane| plane.share >= WALL_SHARE)
-                .map(Place::Wall)?,
-            Target::Sphere(sphere) => {
-                let centre = snapshot.world_from_camera.inverse() * sphere.centre_world;
-                // Nothing in an image without the ball would say where it is.
-                let camera = self.rays.camera();
-                let is_in_view = camera.contains(&camera.project(&centre)?, 0.0);
-                (is_in_view && centre.z > sphere.radius_m).then_some(Place::Sphere(centre))?
+        let plane = dominant_plane(depth, &self.rays, &self.noise);
+        self.plane_shares
+            .push(plane.map_or(0.0, |plane| plane.share));
+        let wall = plane.filter(|plane| plane.share >= WALL_SHARE);
+        let standing_out =
+            |wall: Plane| wall.share_before(depth, &self.rays, STANDING_OUT_M) >= MIN_STANDING_OUT;
+        let in_model = match wall.is_none_or(standing_out) {
+            true => self.fusion.fuse(depth, frame.device_time_secs),
+            false => {
+                self.fusion.interrupt();
+                TrackingOutcome::NoDepth
             }
         };
-        let both = &snapshot.ir_counts;
-        let ambient = snapshot.unlit_counts.map(|unlit| Ambient {
-            both: both.clone(),
-            unlit,
+        let on_wall = wall.map_or(TrackingOutcome::NoDepth, |wall| TrackingOutcome::Tracked {
+            world_from_camera: wall.plane_from_camera(),
+            fit: None,
         });
-        Some(TargetImage {
-            frame_id: snapshot.frame_id,
-            n_exposures: snapshot.n_exposures,
-            ir_counts: snapshot.ir_counts,
-            ambient,
-            depth_m: snapshot.depth_m,
-            place,
-        })
+        Located { on_wall, in_model }
     }
 }
 
-fn has_depth(depth: &Image<f32>) -> bool {
-    let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
-    n_valid as f64 >= MIN_VALID_SHARE * depth.data().len() as f64
+/// Where the camera was when a frame was taken.
+struct Located {
+    /// Against the wall that the frame shows.
+    on_wall: TrackingOutcome,
+    /// In the model of what stands out of planes.
+    in_model: TrackingOutcome,
+}
+
+impl Located {
+    const NOWHERE: Located = Located {
+        on_wall: TrackingOutcome::NoDepth,
+        in_model: TrackingOutcome::NoDepth,
+    };
+}
+
+/// A snapshot with the place of the target in it; `None` where it shows none.
+fn placed(
+    snapshot: ShadingSnapshot,
+    target: Target,
+    rays: &RayGrid,
+    noise: &DepthNoise,
+) -> Option<TargetImage> {
+    let place = match target {
+        Target::Wall => dominant_plane(&snapshot.depth_m, rays, noise)
+            .filter(|plane| plane.share >= WALL_SHARE)
+            .map(Place::Wall)?,
+        Target::Sphere(sphere) => {
+            let centre = snapshot.world_from_camera.inverse() * sphere.centre_world;
+            // Nothing in an image without the ball would say where it is.
+            let camera = rays.camera();
+            let is_in_view = camera.contains(&camera.project(&centre)?, 0.0);
+            (is_in_view && centre.z > sphere.radius_m).then_some(Place::Sphere(centre))?
+        }
+    };
+    let both = &snapshot.ir_counts;
+    let ambient = snapshot.unlit_counts.map(|unlit| Ambient {
+        both: both.clone(),
+        unlit,
+    });
+    Some(TargetImage {
+        frame_id: snapshot.frame_id,
+        n_exposures: snapshot.n_exposures,
+        ir_counts: snapshot.ir_counts,
+        ambient,
+        depth_m: snapshot.depth_m,
+        place,
+    })
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use depth_camera::DepthCamera;
-    use simulated::SimulatedCamera;
-
-    #[test]
-    fn an_image_without_the_ball_is_none_of_the_ball() {
-        let info = SimulatedCamera::kinect2_plaque(1, 0).info().clone();
-        let gatherer = Gatherer::new(&info, FusionParams::default()).expect("it has a light");
-        let (width, height) = (info.intrinsics.width, info.intrinsics.height);
-        let is_used = |x: f64, z: f64| {
-            let snapshot = ShadingSnapshot {
-                frame_id: 0,
-                device_time_secs: 0.0,
-                n_exposures: 1,
-                ir_counts: Image::filled(width, height, 1000.0),
-                unlit_counts: None,
-                depth_m: Image::filled(width, height, 1.0),
-                world_from_camera: Pose::identity(),
-            };
-            let sphere = FoundSphere {
-                centre_world: Point3::new(x, 0.0, z),
-                radius_m: 0.1,
-                radius_sigma_m: 0.001,
-                coverage: 1.0,
-            };
-            gatherer.placed(snapshot, Target::Sphere(sphere)).is_some()
-        };
-        assert!(is_used(0.0, 0.6));
-        assert!(!is_used(0.9, 0.6), "beside the picture");
-        assert!(!is_used(0.0, -0.6), "behind the camera");
-    }
-}
+mod tests;

@@ -28,6 +28,8 @@ struct Patch {
 const PATCH_PX: usize = 10;
 /// Depth within this distance of the sphere's surface is the sphere, metres; multipath near the contact bends it.
 const OFF_SPHERE_M: f64 = 0.012;
+/// What lies nearer lights as if it lay so far off, metres: nearer than any patch does.
+const NEAREST_M: f64 = 0.001;
 
 impl Surroundings {
     /// The patches of an image, without the sphere itself.
@@ -59,7 +61,7 @@ impl Surroundings {
             let across = patch.point - point;
             let here = normal.dot(&across).max(0.0);
             let there = -patch.normal.dot(&across).min(0.0);
-            let squared = across.norm_squared();
+            let squared = across.norm_squared().max(NEAREST_M * NEAREST_M);
             patch.weight * here * there / (squared * squared)
         };
         self.patches.iter().map(of_patch).sum()
@@ -103,5 +105,28 @@ impl Scene<'_> {
             normal,
             weight: linear / f64::from(n) * area_m2 / PI,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_patch_that_all_but_touches_the_sphere_lights_it_as_one_a_little_way_off() {
+        let surroundings = Surroundings {
+            patches: vec![Patch {
+                point: Point3::new(0.0, 0.0, 0.5),
+                normal: -Vector3::z(),
+                weight: 1.0,
+            }],
+        };
+        let at = |away_m: f64| {
+            let point = Point3::new(0.0, 0.0, 0.5 - away_m);
+            surroundings.at(&point, &Vector3::z())
+        };
+        assert!((at(0.1) * 0.1 * 0.1 - 1.0).abs() < 1e-9);
+        assert!(at(1e-4) <= at(NEAREST_M));
+        assert_eq!(at(0.0), 0.0);
     }
 }

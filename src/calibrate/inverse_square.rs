@@ -7,7 +7,7 @@ use super::model::log_linear;
 use super::refusal::Refusal;
 use super::samples::{Place, Sample, wall_intensities};
 use super::state::State;
-use crate::shading::median;
+use crate::robust::median;
 
 /// How light falls with distance on one wall.
 #[derive(Clone, Debug)]

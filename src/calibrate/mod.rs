@@ -22,6 +22,7 @@ mod estimate;
 mod gather;
 mod interreflection;
 mod inverse_square;
+mod lit_images;
 mod model;
 mod offset;
 mod outline;
@@ -35,8 +36,8 @@ mod state;
 #[cfg(test)]
 mod tests;
 
-pub use estimate::{Estimate, Measured, SessionFit};
-pub use gather::{Gatherer, Scan, Target, TargetImage};
+pub use estimate::{Estimate, INTERVAL_SIGMAS, Measured, SessionFit};
+pub use gather::{Gatherer, Scan, Shares, Target, TargetImage};
 pub use inverse_square::{InverseSquare, N_REGIONS, inverse_square};
 pub use offset::{ImageOffset, OffsetError, OffsetEstimate, combine_offsets, image_offset};
 pub use refusal::Refusal;

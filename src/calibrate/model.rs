@@ -57,8 +57,8 @@ impl SpherePoint {
 /// Direct irradiance at a sample with its derivatives by the centre and the radius of the sphere it may lie on.
 struct Irradiance {
     value: f64,
+    point: Point3<f64>,
     by_point: Vector3<f64>,
-    to_light: Vector3<f64>,
     by_centre: Vector3<f64>,
     by_radius: f64,
 }
@@ -66,8 +66,8 @@ struct Irradiance {
 fn irradiance_of_wall(point: &Point3<f64>, normal: &Vector3<f64>, light: &NearLight) -> Irradiance {
     Irradiance {
         value: light.irradiance(point, normal),
+        point: *point,
         by_point: light.irradiance_by_point(point, normal),
-        to_light: light.position - point,
         by_centre: Vector3::zeros(),
         by_radius: 0.0,
     }
@@ -87,8 +87,8 @@ fn irradiance_of_sphere(at: &SpherePoint, radius_m: f64, light: &NearLight) -> I
     let slant = 1.0 / normal.dot(direction);
     Irradiance {
         value: incident.dot(normal),
+        point: *point,
         by_point,
-        to_light: light.position - point,
         by_centre: normal * (by_range * slant) - incident / radius_m,
         by_radius: by_range * slant - incident.dot(normal) / radius_m,
     }
@@ -145,9 +145,9 @@ pub fn intensity_row(sample: &Sample, state: &State, row: &mut Row) -> Option<()
         row.entries
             .push((1 + axis, -by_direct * irradiance.by_point[axis]));
     }
-    let cosine = -irradiance.to_light.z / irradiance.to_light.norm();
+    let log_cosine = state.light.log_cosine(&irradiance.point);
     row.entries
-        .push((4, by_direct * irradiance.value * cosine.max(1e-9).ln()));
+        .push((4, by_direct * irradiance.value * log_cosine));
     for (index, weight) in state.flat.grid.weights(x, y) {
         row.entries
             .push((state.flat_start() + index, scale * weight));

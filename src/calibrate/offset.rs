@@ -13,7 +13,9 @@
 use super::{
     depth_edges::{DepthEdge, depth_edges},
     edge_match::{Brightness, coarse, design},
+    estimate::INTERVAL_SIGMAS,
 };
+use crate::robust::{SIGMAS_PER_DEVIATION, Tukey, median_between};
 use depth_camera::Image;
 use nalgebra::{Matrix3, Vector3};
 
@@ -150,19 +152,13 @@ pub fn combine_offsets(images: &[ImageOffset]) -> Result<OffsetEstimate, OffsetE
 /// median deviation, widened for few values as Student's distribution is.
 fn median_with_interval(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let mut values: Vec<f64> = values.collect();
-    let middle = median(&mut values);
+    let middle = median_between(&mut values).expect("there are enough images");
     let n = values.len() as f64;
     let mut deviations: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
-    let sigma = 1.4826 * median(&mut deviations);
+    let deviation = median_between(&mut deviations).expect("there are enough images");
+    let sigma = SIGMAS_PER_DEVIATION * deviation;
     let few = 1.0 + 3.0 / (n - 1.0);
-    (middle, 1.96 * few * 1.2533 * sigma / n.sqrt())
-}
-
-/// The middle value, of an even number the mean of the two.
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    0.5 * (values[(n - 1) / 2] + values[n / 2])
+    (middle, INTERVAL_SIGMAS * few * 1.2533 * sigma / n.sqrt())
 }
 
 /// One step of the robust fit of offset and erosion to the distances of the matches, and the matches that count in it;
@@ -174,15 +170,18 @@ fn refit(
     from: &Vector3<f64>,
     reach_px: f64,
 ) -> Option<(Vector3<f64>, usize)> {
+    let loss = Tukey {
+        scale: 1.0,
+        cutoff: reach_px,
+    };
     let (mut jtj, mut jtr) = (Matrix3::zeros(), Vector3::zeros());
     let (mut sum_weights, mut n_used) = (0.0, 0);
     for (edge, distance) in matches {
         let row = design(edge);
-        let share = (distance - row.dot(from)) / reach_px;
-        if share.abs() >= 1.0 {
+        let weight = loss.weight(distance - row.dot(from));
+        if weight == 0.0 {
             continue;
         }
-        let weight = (1.0 - share * share).powi(2);
         jtj += row * row.transpose() * weight;
         jtr += row * (weight * distance);
         sum_weights += weight;

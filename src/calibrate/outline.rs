@@ -11,7 +11,7 @@ use super::refusal::Refusal;
 use super::samples::{Cap, LimbPoint, Samples};
 use super::solve::Problem;
 use super::state::{Priors, SphereState, State};
-use crate::shading::median;
+use crate::robust::median;
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3};
 use std::f64::consts::TAU;

@@ -1,9 +1,10 @@
 //! The plane of a wall in one depth image.
 
 use crate::fusion::DepthNoise;
-use crate::geometry::RayGrid;
+use crate::geometry::{Pose, RayGrid};
+use crate::robust::Tukey;
 use depth_camera::Image;
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// The plane `normal · p = −distance_m` in the camera frame; the normal faces the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +23,29 @@ impl Plane {
         let direction = Vector3::new(x, y, 1.0);
         let slope = -self.normal.dot(&direction);
         (slope > 1e-6).then(|| Point3::from(direction * (self.distance_m / slope)))
+    }
+
+    /// Where a camera is against the plane, as far as that tells: its distance, and the least turn that makes it look straight on.
+    pub fn plane_from_camera(&self) -> Pose {
+        let straight_on: Vector3<f64> = -Vector3::z();
+        let turn = UnitQuaternion::rotation_between(&self.normal, &straight_on);
+        Isometry3::from_parts(
+            Translation3::new(0.0, 0.0, -self.distance_m),
+            turn.unwrap_or_else(UnitQuaternion::identity),
+        )
+    }
+
+    /// Share of a depth image (metres, 0 is none) that lies farther before the plane than this, metres.
+    pub fn share_before(&self, depth_m: &Image<f32>, rays: &RayGrid, beyond_m: f64) -> f64 {
+        let pixels = pixels_with_depth(depth_m, rays);
+        let heights_m = pixels.iter().map(|pixel| self.height_m(&point_of(pixel)));
+        let before = heights_m.filter(|height_m| *height_m > beyond_m);
+        before.count() as f64 / pixels.len().max(1) as f64
+    }
+
+    /// How far a point lies before the plane, metres.
+    pub fn height_m(&self, point: &Point3<f64>) -> f64 {
+        self.normal.dot(&point.coords) + self.distance_m
     }
 
     /// How far a depth pixel lies from the plane along the optical axis, in sigmas of its noise.
@@ -87,7 +111,8 @@ fn point_of(([x, y], z): &RangePixel) -> Point3<f64> {
     Point3::new(*x, *y, 1.0) * f64::from(*z)
 }
 
-fn plane_through(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>) -> Option<Plane> {
+/// The plane through three points; `None` if they are in line, or in a plane with the camera.
+pub fn plane_through(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>) -> Option<Plane> {
     let normal = (b - a).cross(&(c - a)).try_normalize(1e-6)?;
     facing_camera(normal, normal.dot(&a.coords))
 }
@@ -113,15 +138,19 @@ fn with_share(plane: Plane, pixels: &[RangePixel], noise: &DepthNoise) -> Plane 
 
 /// One step of least squares on inverse depth, `1/z = a x + b y + c`, which is linear and keeps its noise simple.
 fn refit(plane: &Plane, pixels: &[RangePixel], noise: &DepthNoise) -> Option<Plane> {
+    let loss = Tukey {
+        scale: 1.0,
+        cutoff: ON_PLANE_SIGMAS,
+    };
     let (mut jtj, mut jtr) = (Matrix3::zeros(), Vector3::zeros());
     for ([x, y], z) in pixels {
-        let t = plane.residual_sigmas(*x, *y, *z, noise) / ON_PLANE_SIGMAS;
-        if t.abs() >= 1.0 {
+        let share = loss.weight(plane.residual_sigmas(*x, *y, *z, noise));
+        if share == 0.0 {
             continue;
         }
         let z_m = f64::from(*z);
         let sigma = f64::from(noise.sigma_m(*z)) / (z_m * z_m);
-        let weight = (1.0 - t * t).powi(2) / (sigma * sigma);
+        let weight = share / (sigma * sigma);
         let row = Vector3::new(*x, *y, 1.0);
         jtj += row * row.transpose() * weight;
         jtr += row * (weight / z_m);

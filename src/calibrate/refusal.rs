@@ -1,7 +1,8 @@
 //! Why a calibration is refused, each with the figure that shows it.
 
 use super::estimate::{Estimate, SessionFit};
-use super::gather::{Scan, Target};
+use super::gather::{Scan, Shares, Target};
+use crate::shading::SATURATION;
 
 /// A session, or all of them, from which nothing can be learnt.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -19,27 +20,25 @@ pub enum Refusal {
     },
     /// Neither target is in view.
     #[error(
-        "{session}: neither a wall (a plane that holds 80 % of the depth) nor a sphere is in view: the best sphere shows \
-         {:.0} % of its front, must be at least {:.0} %", coverage * 100.0, required * 100.0
+        "{session}: neither a wall (a plane that holds 80 % of the depth) nor a sphere is in view: {shares}"
     )]
     NoSphere {
         /// The session.
         session: String,
-        /// Share of the front of the best candidate.
-        coverage: f64,
-        /// What is needed.
-        required: f64,
+        /// What there is of both.
+        shares: Shares,
     },
     /// No IR image is of use.
     #[error(
-        "{session}: no IR image under the sensor's light with the target in view ({n_unused} IR images are of no use: speckle, \
-         saturated, no pose, or no plane)"
+        "{session}: no IR image under the sensor's light with the target in view; {n_unused} IR images are of no use ({reasons})"
     )]
     NoImages {
         /// The session.
         session: String,
         /// Images looked at.
         n_unused: usize,
+        /// Why, each reason with how often.
+        reasons: String,
     },
     /// The light is too strong, or too near.
     #[error(
@@ -203,7 +202,7 @@ fn saturated_share(scan: &Scan, full_scale: f64) -> f64 {
     for counts in scan.images.iter().flat_map(|image| image.ir_counts.data()) {
         let share = f64::from(*counts) / full_scale;
         n_lit += usize::from(share > 0.02);
-        n_saturated += usize::from(share >= super::samples::SATURATION);
+        n_saturated += usize::from(share >= SATURATION);
     }
     n_saturated as f64 / n_lit.max(1) as f64
 }

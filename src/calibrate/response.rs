@@ -6,7 +6,7 @@ use super::model::log_linear;
 use super::samples::{MAX_INTERREFLECTED, SPHERE_STRIDE, Sample, sphere_samples};
 use super::state::State;
 use super::{Refusal, Sensor};
-use crate::shading::{Tukey, median_absolute_deviation};
+use crate::robust::{Tukey, median_absolute_deviation};
 use depth_camera::Image;
 
 /// `observed = scale · rendered^γ`, both as shares of full scale: what the paper fits.
@@ -114,7 +114,7 @@ fn polished(pairs: &[[f64; 2]], gamma: f64, log_scale: f64) -> Option<(f64, f64)
     let mut residuals: Vec<f64> = inliers.iter().map(|pair| residual(pair)).collect();
     let loss = Tukey {
         scale: median_absolute_deviation(&mut residuals).max(1e-4),
-        cutoff: 4.685,
+        cutoff: Tukey::EFFICIENT_CUTOFF,
     };
     let [mut w, mut wx, mut wy, mut wxx, mut wxy] = [0.0; 5];
     for pair in inliers {

@@ -8,6 +8,7 @@ use super::outline::{measure_cap, measure_limb};
 use super::plane::{ON_PLANE_SIGMAS, Plane};
 use super::state::State;
 use crate::fusion::DepthNoise;
+use crate::shading::SATURATION;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -92,8 +93,6 @@ const WALL_CELL: usize = 8;
 const TILE_PX: usize = 64;
 /// Spheres are sampled at every so many pixels, on each axis.
 pub const SPHERE_STRIDE: usize = 2;
-/// From this share of full scale a pixel counts as saturated.
-pub const SATURATION: f64 = 0.985;
 /// Darker than this many standard deviations of read noise is not looked at: the logarithm would be bent.
 const MIN_READ_SIGMAS: f64 = 8.0;
 /// Grazing light and grazing views are not looked at: 75°.

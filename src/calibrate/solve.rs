@@ -4,7 +4,7 @@ use super::estimate::{Estimate, SessionFit};
 use super::model::{Row, cap_row, intensity_row, limb_row};
 use super::samples::{Place, Sample, Samples};
 use super::state::{Priors, State};
-use crate::shading::{Tukey, median, median_absolute_deviation};
+use crate::robust::{Tukey, median, median_absolute_deviation};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -31,8 +31,6 @@ struct Normal {
     cost: f64,
 }
 
-/// 95 % efficient on Gaussian residuals.
-const TUKEY_CUTOFF: f64 = 4.685;
 /// Times that the robust scales are estimated anew.
 const N_SCALES: usize = 3;
 const MAX_STEPS: usize = 12;
@@ -105,7 +103,7 @@ impl<'a> Problem<'a> {
     fn losses(&self, state: &State) -> Losses {
         let scaled = |mut residuals: Vec<f64>| Tukey {
             scale: median_absolute_deviation(&mut residuals).max(1.0),
-            cutoff: TUKEY_CUTOFF,
+            cutoff: Tukey::EFFICIENT_CUTOFF,
         };
         let n_sessions = state.sessions.len();
         let mut by_session = vec![Vec::new(); n_sessions];

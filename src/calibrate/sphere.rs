@@ -1,6 +1,6 @@
 //! The sphere in the fused mesh.
 
-use super::refusal::Refusal;
+use super::plane::{Plane, plane_through};
 use crate::geometry::TriMesh;
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 
@@ -29,6 +29,12 @@ pub struct FoundSphere {
 /// Spheres that a desk holds and a Kinect sees well, metres.
 const RADIUS_BOUNDS_M: [f64; 2] = [0.03, 0.4];
 const N_DRAWS: usize = 10_000;
+/// Three vertices are drawn so often for the plane that the sphere stands on.
+const N_PLANES: usize = 300;
+/// What lies within this of a plane lies on it, metres: multipath bends a table by half as much.
+const ON_PLANE_M: f64 = 0.01;
+/// Fewer vertices show nothing.
+const MIN_VERTICES: usize = 100;
 /// Vertices among which the second one of a pair is looked for, and how far apart the two are, metres.
 const N_TRIES: usize = 40;
 const PAIR_M: std::ops::Range<f64> = 0.02..0.2;
@@ -38,8 +44,8 @@ const N_SCORED: usize = 3_000;
 const TOLERANCE_SHARE: f64 = 0.03;
 /// And its normal within this angle of the radius, as a cosine (20°).
 const MIN_NORMAL_COSINE: f64 = 0.94;
-/// A sphere shows at least this share of its front in the mesh.
-const MIN_COVERAGE: f64 = 0.35;
+/// A sphere shows at least this share of its front in the mesh. A plane shows 0.06 of one: its cap within the normals' 20°.
+pub(super) const MIN_COVERAGE: f64 = 0.35;
 /// What fusion and multipath may do to the radius: 4 % on a recorded sphere on a table.
 const FUSED_RADIUS_ERROR: f64 = 0.06;
 /// What callipers may do to it.
@@ -48,32 +54,23 @@ const GIVEN_RADIUS_ERROR: f64 = 0.002;
 /// A vertex with its normal.
 type Oriented = (Point3<f64>, Vector3<f64>);
 
-/// The sphere that most of the mesh lies on, by RANSAC over pairs of vertices with their normals.
-///
-/// # Errors
-/// If there is none that is seen well enough.
-pub fn find_sphere(
-    mesh: &TriMesh,
-    radius: BallRadius,
-    session: &str,
-) -> Result<FoundSphere, Refusal> {
-    let refusal = |coverage: f64| Refusal::NoSphere {
-        session: session.to_owned(),
-        coverage,
-        required: MIN_COVERAGE,
-    };
+/// The sphere that most of what stands out of a plane lies on, by RANSAC over pairs of vertices with their normals; whether it is one
+/// its coverage says. `None` where nothing is round.
+pub fn best_sphere(mesh: &TriMesh, radius: BallRadius) -> Option<FoundSphere> {
     let normals = smooth_normals(mesh);
     let vertices: Vec<Oriented> = mesh.vertices.iter().copied().zip(normals).collect();
-    if vertices.len() < 100 {
-        return Err(refusal(0.0));
+    // A ball of 5 cm is a two hundredth of what is seen of a large table.
+    let standing_out = off_the_plane(&vertices);
+    if standing_out.len() < MIN_VERTICES {
+        return None;
     }
     let mut random = fastrand::Rng::with_seed(1);
-    let mut draw = || vertices[random.usize(..vertices.len())];
+    let mut draw = || standing_out[random.usize(..standing_out.len())];
     let scored: Vec<Oriented> = (0..N_SCORED).map(|_| draw()).collect();
     let mut best = (0.0, Point3::origin(), 0.0);
     for _ in 0..N_DRAWS {
         let a = draw();
-        // A sphere may be a hundredth of the mesh: its second vertex is looked for nearby.
+        // A sphere may be a small part of that: its second vertex is looked for nearby.
         let nearby = (0..N_TRIES).map(|_| draw());
         let b = nearby
             .into_iter()
@@ -81,7 +78,7 @@ pub fn find_sphere(
         let Some((centre, r)) = b.and_then(|b| sphere_of_pair(&a, &b, radius)) else {
             continue;
         };
-        // Votes times the share of the sphere that they cover: the shallow cap of a large sphere fits any table.
+        // Votes times the share of the sphere that they cover: the shallow cap of a large sphere fits anything flat.
         let votes = scored.iter().filter(|v| lies_on(v, &centre, r)).count() as f64;
         let score = (votes / r).powi(2);
         if score > best.0 {
@@ -90,21 +87,37 @@ pub fn find_sphere(
     }
     let (_, mut centre, mut r) = best;
     for _ in 0..10 {
-        (centre, r) = refit(&vertices, &centre, r, radius).ok_or_else(|| refusal(0.0))?;
+        (centre, r) = refit(&vertices, &centre, r, radius)?;
     }
-    let coverage = covered_share(mesh, &vertices, &centre, r);
-    if coverage < MIN_COVERAGE {
-        return Err(refusal(coverage));
-    }
-    Ok(FoundSphere {
+    Some(FoundSphere {
         centre_world: centre,
         radius_m: r,
         radius_sigma_m: r * match radius {
             BallRadius::Unknown => FUSED_RADIUS_ERROR,
             BallRadius::Given(_) => GIVEN_RADIUS_ERROR,
         },
-        coverage,
+        coverage: covered_share(mesh, &vertices, &centre, r),
     })
+}
+
+/// The vertices that do not lie on the plane that most of them lie on.
+fn off_the_plane(vertices: &[Oriented]) -> Vec<Oriented> {
+    if vertices.len() < MIN_VERTICES {
+        return Vec::new();
+    }
+    let mut random = fastrand::Rng::with_seed(1);
+    let mut draw = || vertices[random.usize(..vertices.len())].0;
+    let scored: Vec<Point3<f64>> = (0..N_SCORED).map(|_| draw()).collect();
+    let planes = (0..N_PLANES).filter_map(|_| plane_through(&draw(), &draw(), &draw()));
+    let n_on = |plane: &Plane| scored.iter().filter(|p| lies_on_plane(p, plane)).count();
+    let best = planes.max_by_key(n_on);
+    let off = |point: &Point3<f64>| best.is_none_or(|plane| !lies_on_plane(point, &plane));
+    let vertices = vertices.iter().copied();
+    vertices.filter(|(point, _)| off(point)).collect()
+}
+
+fn lies_on_plane(point: &Point3<f64>, plane: &Plane) -> bool {
+    plane.height_m(point).abs() < ON_PLANE_M
 }
 
 /// Vertex normals averaged over about a centimetre: those of a mesh of few frames are off by 15°.
@@ -113,16 +126,14 @@ fn smooth_normals(mesh: &TriMesh) -> Vec<Vector3<f64>> {
     const N_ROUNDS: usize = 12;
     let mut normals = mesh.vertex_normals();
     for _ in 0..N_ROUNDS {
-        let mut sums = vec![Vector3::zeros(); normals.len()];
-        for face in &mesh.faces {
-            let sum: Vector3<f64> = face.iter().map(|vertex| normals[*vertex as usize]).sum();
-            for vertex in face {
-                sums[*vertex as usize] += sum;
-            }
-        }
-        for (normal, sum) in normals.iter_mut().zip(sums) {
-            *normal = sum.try_normalize(0.0).unwrap_or_default();
-        }
+        let sums = mesh.sums_at_vertices(Vector3::zeros(), |face| {
+            let [a, b, c] = mesh.faces[face].map(|vertex| normals[vertex as usize]);
+            a + b + c
+        });
+        normals = sums
+            .into_iter()
+            .map(|sum| sum.try_normalize(0.0).unwrap_or_default())
+            .collect();
     }
     normals
 }

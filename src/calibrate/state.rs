@@ -6,7 +6,8 @@ use super::model::log_linear;
 use super::refusal::Refusal;
 use super::response::{plain_power_law, rendered_pairs, sphere_pixels};
 use super::samples::{Sample, Samples};
-use crate::shading::{FlatField, FlatMap, NearLight, SplineGrid, median};
+use crate::robust::median;
+use crate::shading::{FlatField, FlatMap, NearLight, SplineGrid};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// What is believed beforehand.

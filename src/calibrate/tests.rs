@@ -130,6 +130,10 @@ impl Truth {
         Scan {
             name: "wall".to_owned(),
             target: Target::Wall,
+            shares: Shares {
+                plane: 1.0,
+                sphere: 0.0,
+            },
             images: images.collect(),
             n_unused: 0,
         }
@@ -153,6 +157,10 @@ impl Truth {
                 radius_sigma_m: 0.06 * RADIUS_M,
                 coverage: 0.8,
             }),
+            shares: Shares {
+                plane: 0.0,
+                sphere: 0.8,
+            },
             images: images.collect(),
             n_unused: 0,
         }

@@ -8,7 +8,7 @@ mod print;
 mod targets;
 
 use super::{
-    run::{self, Verdict, session_name},
+    run::{self, Verdict},
     stdout::Stdout,
     values::numbers,
 };
@@ -26,6 +26,7 @@ use replay::Pacing;
 use std::{
     io::{self, Write},
     path::{Path, PathBuf},
+    slice,
     str::FromStr,
 };
 use targets::Aim;
@@ -55,6 +56,17 @@ impl CalibrateCommand {
             CalibrateCommand::Offset(_) | CalibrateCommand::Depth(_) => false,
         }
     }
+
+    /// What it learns from.
+    fn sessions(&self) -> &[PathBuf] {
+        match self {
+            CalibrateCommand::Response(args)
+            | CalibrateCommand::FlatField(args)
+            | CalibrateCommand::Light(args) => &args.sessions,
+            CalibrateCommand::Offset(args) => slice::from_ref(&args.session),
+            CalibrateCommand::Depth(args) => slice::from_ref(&args.session),
+        }
+    }
 }
 
 /// Runs a command.
@@ -62,6 +74,9 @@ impl CalibrateCommand {
 /// # Errors
 /// For sessions that cannot be read or learnt from, and a file that is not to be changed.
 pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
+    for session in command.sessions() {
+        run::tell_unknown_keys(session);
+    }
     match command {
         CalibrateCommand::Response(args) => targets::calibrate(Aim::Response, args),
         CalibrateCommand::FlatField(args) => targets::calibrate(Aim::FlatField, args),
@@ -81,9 +96,9 @@ fn open(session: &Path, config: &Config) -> anyhow::Result<Box<dyn DepthCamera>>
 }
 
 /// A session as a measurement names it.
-fn measured_session(session: &Path) -> anyhow::Result<MeasuredSession> {
+fn measured_session(name: String, session: &Path) -> anyhow::Result<MeasuredSession> {
     Ok(MeasuredSession {
-        name: session_name(session),
+        name,
         content: content_hash(session)?,
     })
 }

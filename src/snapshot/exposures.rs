@@ -6,14 +6,11 @@
 //! noise.
 
 use super::rejection::{RejectReason, Rejection};
+use super::speckle::{LIT, TILE};
+use crate::robust::median_between;
+use crate::shading::SATURATION;
 use depth_camera::Image;
 
-/// From this share of full scale a pixel counts as saturated; as in refinement.
-pub const SATURATION: f64 = 0.985;
-/// Side of the tiles, pixels.
-const TILE: usize = 8;
-/// Tiles darker than this share of full scale are not compared.
-const LIT: f64 = 0.04;
 /// A tile differs from this relative deviation on: noise of the mean of 64 pixels reached 0.036 in recorded exposures.
 const DIFFERS: f64 = 0.1;
 
@@ -160,7 +157,8 @@ fn gains(means: &[Vec<f64>]) -> Vec<f64> {
         .map(|means| {
             let ratios = means.iter().zip(&reference);
             let ratios = ratios.filter(|(mean, reference)| **mean > 0.0 && **reference > 0.0);
-            median(ratios.map(|(mean, reference)| mean / reference).collect()).unwrap_or(1.0)
+            let ratios = ratios.map(|(mean, reference)| mean / reference);
+            median_between(&mut ratios.collect::<Vec<_>>()).unwrap_or(1.0)
         })
         .collect()
 }
@@ -178,18 +176,11 @@ fn changed_share(means: &[f64], reference: &[f64]) -> f64 {
 fn median_of_each(means: &[Vec<f64>]) -> Vec<f64> {
     let n_tiles = means.first().map_or(0, Vec::len);
     (0..n_tiles)
-        .map(|tile| median(means.iter().map(|means| means[tile]).collect()).unwrap_or(0.0))
+        .map(|tile| {
+            let mut of_tile: Vec<f64> = means.iter().map(|means| means[tile]).collect();
+            median_between(&mut of_tile).unwrap_or(0.0)
+        })
         .collect()
-}
-
-/// The middle value, of an even number the mean of the two; NaN if one is NaN, `None` of nothing.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    if values.last().is_some_and(|last| last.is_nan()) {
-        return Some(f64::NAN);
-    }
-    (n > 0).then(|| 0.5 * (values[(n - 1) / 2] + values[n / 2]))
 }
 
 #[cfg(test)]

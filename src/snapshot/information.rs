@@ -7,8 +7,8 @@
 //! views need no common basis, at the price of six.
 
 use super::ShadingSnapshot;
-use super::exposures::SATURATION;
 use crate::fusion::ModelMap;
+use crate::shading::SATURATION;
 use depth_camera::CameraInfo;
 use nalgebra::{Matrix2, Matrix3, Point3, Vector3};
 
@@ -23,7 +23,7 @@ const PATCH_M: f64 = 0.02;
 const LIGHT_CELL: f64 = 0.25;
 /// The surface is looked at about every so many pixels of the full image, along rows and columns.
 pub(super) const SAMPLE_PX: usize = 4;
-/// Refinement is of the object that the operator points at: a pixel counts by a Gaussian of its angle to the optical axis
+/// Refinement is of the object that the operator points at: surface counts by a Gaussian of its angle to the optical axis
 /// with this deviation, 8°: 84 mm at 0.6 m. Arbitrary.
 const ATTENTION_RAD: f64 = 0.14;
 /// Pixels beyond this many deviations are not looked at; they would weigh less than 0.02.
@@ -217,7 +217,7 @@ pub(super) fn view_information(
             if normal == Vector3::zeros() || cos_axis < min_cos_axis {
                 continue;
             }
-            let attention = attention(cos_axis);
+            let attention = attention_at(cos_axis);
             target += point * attention;
             weights += attention;
 
@@ -245,9 +245,14 @@ pub(super) fn view_information(
     }
 }
 
-/// How much a pixel at this cosine to the optical axis counts.
-pub(super) fn attention(cos_axis: f64) -> f64 {
-    (-0.5 * (cos_axis.min(1.0).acos() / ATTENTION_RAD).powi(2)).exp()
+/// How much what lies so far from the optical axis, radians, counts: 1 on it.
+pub fn attention(from_axis_rad: f64) -> f64 {
+    (-0.5 * (from_axis_rad / ATTENTION_RAD).powi(2)).exp()
+}
+
+/// [`attention`] to what lies at this cosine to the optical axis.
+pub(super) fn attention_at(cos_axis: f64) -> f64 {
+    attention(cos_axis.min(1.0).acos())
 }
 
 /// Adds up the samples of each patch.

@@ -30,7 +30,7 @@ impl LampGroup {
         let brightest = self.brightest();
         let mut refused = Vec::new();
         if image.mean_counts() < LIT_SHARE * brightest {
-            refused.push(unlit(&image, brightest));
+            refused.push(unlit(image.frame_id, image.mean_counts() / brightest));
             self.add_unlit(image, max_exposures);
             return refused;
         }
@@ -40,7 +40,7 @@ impl LampGroup {
             .partition(|exposure| exposure.mean_counts() >= LIT_SHARE * now);
         self.exposures = lit;
         for exposure in before {
-            refused.push(unlit(&exposure, now));
+            refused.push(unlit(exposure.frame_id, exposure.mean_counts() / now));
             self.add_unlit(exposure, max_exposures);
         }
         match self.exposures.len() < max_exposures {
@@ -88,9 +88,18 @@ impl LampGroup {
 
     /// How many of these may be lit by a lamp that would make the brightest of poses this bright, counts.
     pub(super) fn n_lit(&self, lamp_counts: f64) -> usize {
-        let least = DIMMEST_POSE * lamp_counts;
         let means = self.exposures.iter().map(Exposure::mean_counts);
-        means.filter(|counts| *counts >= least).count()
+        means.filter(|counts| is_lit(*counts, lamp_counts)).count()
+    }
+
+    /// Drops all if such a lamp lights none of them. They are no ambient light, either: it is not known what lights them.
+    pub(super) fn drop_unlit(&mut self, lamp_counts: f64) -> Vec<Rejection> {
+        if is_lit(self.brightest(), lamp_counts) {
+            return Vec::new();
+        }
+        let dim = std::mem::take(&mut self.exposures).into_iter();
+        dim.map(|exposure| unlit(exposure.frame_id, exposure.mean_counts() / lamp_counts))
+            .collect()
     }
 
     /// Mean counts of the brightest of them; 0 without any.
@@ -100,12 +109,16 @@ impl LampGroup {
     }
 }
 
-fn unlit(image: &Exposure, brightest: f64) -> Rejection {
+/// Whether an image of mean counts may be lit by a lamp that would make the brightest of poses this bright, counts.
+pub(super) fn is_lit(counts: f64, lamp_counts: f64) -> bool {
+    counts >= DIMMEST_POSE * lamp_counts
+}
+
+/// Says of an image that it is so bright without the lamp, as a share of what it would be under it.
+pub(super) fn unlit(frame_id: u64, brightness: f64) -> Rejection {
     Rejection {
-        frame_id: image.frame_id,
-        reason: RejectReason::Unlit {
-            brightness: image.mean_counts() / brightest,
-        },
+        frame_id,
+        reason: RejectReason::Unlit { brightness },
     }
 }
 

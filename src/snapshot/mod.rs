@@ -15,6 +15,7 @@ mod kinect2;
 mod params;
 mod rejection;
 
+mod candidates;
 mod exposures;
 mod guide;
 mod information;
@@ -32,21 +33,25 @@ mod bench_tests;
 mod scenes;
 
 pub use coverage::Coverage;
-pub use exposures::{SATURATION, saturated_share};
+pub use exposures::saturated_share;
 pub use guide::Guidance;
+pub use information::attention;
 pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
 pub use rejection::{RejectReason, Rejection, Rejections};
 pub use speckle::{Texture, texture};
 
-use crate::fusion::{ModelMap, TrackingOutcome};
+use crate::fusion::{ModelMap, PoseCorrection, TrackingOutcome};
 use crate::geometry::Pose;
-use crate::shading::without_ambient;
+use crate::shading::{SATURATION, without_ambient};
+use candidates::Candidates;
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use information::Optics;
 use kinect1::ShadingSequence;
 use kinect2::EmitterStream;
 use std::borrow::Cow;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 /// An IR image that refinement can use: lit by the sensor's light alone, the camera still and its pose known.
 #[derive(Clone, Debug)]
@@ -68,6 +73,19 @@ pub struct ShadingSnapshot {
 }
 
 impl ShadingSnapshot {
+    /// A frame whose IR image the sensor lights itself, seen from a pose; `None` without depth or IR.
+    pub fn of_frame(frame: &Frame, world_from_camera: Pose) -> Option<Self> {
+        Some(ShadingSnapshot {
+            frame_id: frame.frame_id,
+            device_time_secs: frame.device_time_secs,
+            n_exposures: 1,
+            ir_counts: frame.ir.as_ref()?.map(|&counts| f32::from(counts)),
+            unlit_counts: None,
+            depth_m: frame.depth.clone()?,
+            world_from_camera,
+        })
+    }
+
     /// IR counts that its light alone would make, through the same response.
     pub fn lit_counts(&self, full_scale: f64, gamma: f64) -> Cow<'_, Image<f32>> {
         match &self.unlit_counts {
@@ -93,6 +111,32 @@ pub struct TrackedFrame<'a> {
     pub model: Option<&'a ModelMap>,
 }
 
+/// Where the camera was, and when.
+#[derive(Clone, Copy)]
+struct Placed {
+    world_from_camera: Pose,
+    device_time_secs: f64,
+}
+
+impl Placed {
+    /// Of a frame; `None` if it was not tracked.
+    fn of(tracked: &TrackedFrame) -> Option<Self> {
+        match *tracked.outcome {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => Some(Placed {
+                world_from_camera,
+                device_time_secs: tracked.frame.device_time_secs,
+            }),
+            TrackingOutcome::Lost(_) | TrackingOutcome::NoDepth => None,
+        }
+    }
+
+    fn correct(&mut self, correction: &PoseCorrection) {
+        self.world_from_camera = correction.apply(self.device_time_secs, &self.world_from_camera);
+    }
+}
+
 /// What a scan gave to refine with.
 #[derive(Clone, Debug, Default)]
 pub struct SnapshotSelection {
@@ -100,6 +144,22 @@ pub struct SnapshotSelection {
     pub accepted: Vec<ShadingSnapshot>,
     /// The newest of the IR frames that are not among them, in order of their number: see [`Rejections`].
     pub rejected: Vec<Rejection>,
+}
+
+impl SnapshotSelection {
+    /// Why frames were rejected, each kind of reason once with how often, the most frequent first; its first frame stands for all.
+    pub fn reasons(&self) -> Vec<String> {
+        let mut kinds: BTreeMap<&'static str, (usize, RejectReason)> = BTreeMap::new();
+        for Rejection { reason, .. } in &self.rejected {
+            kinds.entry(reason.code()).or_insert((0, *reason)).0 += 1;
+        }
+        let mut kinds: Vec<_> = kinds.into_values().collect();
+        kinds.sort_by_key(|(n, _)| Reverse(*n));
+        kinds
+            .iter()
+            .map(|(n, reason)| format!("{n} times: {reason}"))
+            .collect()
+    }
 }
 
 /// What the operator of a Kinect I is to do next for a shading image.
@@ -133,7 +193,7 @@ impl SequenceStep {
 
 /// Chooses shading images while a scan goes on; the same frames give the same selection.
 pub struct SnapshotSelector {
-    optics: Optics,
+    candidates: Candidates,
     method: Method,
 }
 
@@ -147,35 +207,44 @@ impl SnapshotSelector {
     /// A selector for one camera, `None` if it delivers no IR or has no light; `params` must have been validated.
     pub fn new(info: &CameraInfo, params: SnapshotParams) -> Option<Self> {
         let optics = Optics::new(info)?;
-        let method = match info.sensor {
-            Sensor::Kinect1 => Method::Sequence(ShadingSequence::new(optics, params)),
-            Sensor::Kinect2 => Method::Stream(EmitterStream::new(optics, params)),
+        let (method, min_gain_share) = match info.sensor {
+            // A pose that the operator took the trouble to hold is kept, however little it adds.
+            Sensor::Kinect1 => (Method::Sequence(ShadingSequence::default()), 0.0),
+            Sensor::Kinect2 => (
+                Method::Stream(EmitterStream::default()),
+                params.min_gain_share,
+            ),
         };
-        Some(SnapshotSelector { optics, method })
+        let params = SnapshotParams {
+            min_gain_share,
+            ..params
+        };
+        Some(SnapshotSelector {
+            candidates: Candidates::new(optics, params),
+            method,
+        })
     }
 
     /// Takes in the next frame of the stream.
     pub fn observe(&mut self, tracked: &TrackedFrame) {
         match &mut self.method {
-            Method::Sequence(sequence) => sequence.observe(tracked),
-            Method::Stream(stream) => stream.observe(tracked),
+            Method::Sequence(sequence) => sequence.observe(tracked, &mut self.candidates),
+            Method::Stream(stream) => stream.observe(tracked, &mut self.candidates),
         }
     }
 
     /// How many shading images there are so far, at most `max_snapshots`; [`Self::finish`] may keep fewer.
     pub fn n_accepted(&self) -> usize {
-        match &self.method {
-            Method::Sequence(sequence) => sequence.n_accepted(),
-            Method::Stream(stream) => stream.n_accepted(),
-        }
+        let Candidates { pool, params, .. } = &self.candidates;
+        pool.len().min(params.max_snapshots)
     }
 
     /// The choice among everything seen.
-    pub fn finish(self) -> SnapshotSelection {
-        match self.method {
-            Method::Sequence(sequence) => sequence.finish(),
-            Method::Stream(stream) => stream.finish(),
+    pub fn finish(mut self) -> SnapshotSelection {
+        if let Method::Sequence(sequence) = &mut self.method {
+            sequence.abandon(RejectReason::Unfinished, &mut self.candidates);
         }
+        self.candidates.finish()
     }
 }
 

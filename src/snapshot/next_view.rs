@@ -4,7 +4,7 @@
 //! stands in the way.
 
 use super::coverage::{Coverage, share_of};
-use super::information::{Information, Optics, SAMPLE_PX, attention};
+use super::information::{Information, Optics, SAMPLE_PX, attention_at};
 use crate::fusion::ModelMap;
 use crate::geometry::Pose;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -94,7 +94,7 @@ fn spots<'a>(
             normal,
             information,
             known,
-            need: attention(cos_axis) * (1.0 - known),
+            need: attention_at(cos_axis) * (1.0 - known),
         })
     })
 }

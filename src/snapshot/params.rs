@@ -50,6 +50,10 @@ pub enum HeldPose {
     BetweenOrBefore,
     /// Halfway between the last one before and the first one after, which must agree: the hand is measured to be still.
     Between,
+    /// The same, unless the first one after comes more than a second after the exposures, too late to tell whether the hand was still:
+    /// then the last one before, at most a second old. For calibrations, whose images nobody aligns; no configuration says it.
+    #[serde(skip)]
+    BetweenUnlessLate,
 }
 
 impl Default for SnapshotParams {

@@ -129,8 +129,13 @@ impl Pool {
 
     /// Forgets the candidates that are later than `after_secs` of the device's clock.
     pub(super) fn forget_after(&mut self, after_secs: f64) {
+        self.retain(|snapshot| snapshot.device_time_secs <= after_secs);
+    }
+
+    /// Forgets the candidates for which `stays` does not hold, looking at the latest first.
+    pub(super) fn retain(&mut self, mut stays: impl FnMut(&ShadingSnapshot) -> bool) {
         for index in (0..self.candidates.len()).rev() {
-            if self.candidates[index].snapshot.device_time_secs > after_secs {
+            if !stays(&self.candidates[index].snapshot) {
                 let loss = loss(&self.candidates[index], &self.total);
                 self.remove(index, loss);
             }

@@ -1,10 +1,10 @@
 //! What can be asked of a selector, and told to it, while the scan goes on.
 
+use super::candidates::Candidates;
 use super::coverage::Coverage;
 use super::exposures::saturated_share;
 use super::guide::Guidance;
 use super::next_view::{Viewpoint, next_viewpoint};
-use super::pool::Pool;
 use super::rejection::{RejectReason, Rejections};
 use super::{Method, ShadingSnapshot, SnapshotSelection, SnapshotSelector};
 use crate::fusion::{ModelMap, PoseCorrection};
@@ -14,18 +14,12 @@ use depth_camera::Image;
 impl SnapshotSelector {
     /// Asks for the next image that passes the gates of quality, however little it adds, or takes that back.
     pub fn request(&mut self, is_requested: bool) {
-        match &mut self.method {
-            Method::Sequence(sequence) => sequence.request(is_requested),
-            Method::Stream(stream) => stream.request(is_requested),
-        }
+        self.candidates.is_requested = is_requested;
     }
 
     /// Whether an image was asked for that has not come yet.
     pub fn is_requested(&self) -> bool {
-        match &self.method {
-            Method::Sequence(sequence) => sequence.is_requested(),
-            Method::Stream(stream) => stream.is_requested(),
-        }
+        self.candidates.is_requested
     }
 
     /// Kinect I: whether exposures of a pose are being taken.
@@ -46,34 +40,33 @@ impl SnapshotSelector {
 
     /// The frames that are no shading images so far.
     pub fn rejected(&self) -> &Rejections {
-        match &self.method {
-            Method::Sequence(sequence) => sequence.rejected(),
-            Method::Stream(stream) => stream.rejected(),
-        }
+        &self.candidates.rejected
     }
 
     /// The candidates at present, in order of arrival, with why each would not be chosen if the scan ended now.
     pub fn held(&self) -> Vec<(&ShadingSnapshot, Option<RejectReason>)> {
-        let (n, min_gain_share) = self.bounds();
-        self.pool().held(n, min_gain_share)
+        let Candidates { pool, params, .. } = &self.candidates;
+        pool.held(params.max_snapshots, params.min_gain_share)
     }
 
     /// What would be chosen if the scan ended now, copied.
     pub fn selection(&self) -> SnapshotSelection {
-        let (n, min_gain_share) = self.bounds();
-        self.pool().chosen(n, min_gain_share)
+        let Candidates { pool, params, .. } = &self.candidates;
+        pool.chosen(params.max_snapshots, params.min_gain_share)
     }
 
     /// Forgets what was taken later than `after_secs` of the device's clock.
     pub fn forget_after(&mut self, after_secs: f64) {
+        self.candidates.pool.forget_after(after_secs);
         match &mut self.method {
-            Method::Sequence(sequence) => sequence.forget_after(after_secs),
-            Method::Stream(stream) => stream.forget_after(after_secs),
+            Method::Sequence(sequence) => sequence.interrupt(),
+            Method::Stream(stream) => stream.interrupt(),
         }
     }
 
     /// Moves all poses that it was shown, as the model moved.
     pub fn correct(&mut self, correction: &PoseCorrection) {
+        self.candidates.pool.correct(correction);
         match &mut self.method {
             Method::Sequence(sequence) => sequence.correct(correction),
             Method::Stream(stream) => stream.correct(correction),
@@ -82,31 +75,17 @@ impl SnapshotSelector {
 
     /// What the candidates tell of the surface.
     pub fn coverage(&self) -> Coverage {
-        self.pool().coverage()
+        self.candidates.pool.coverage()
     }
 
     /// From where a camera at this pose, which sees the model so, should take the next image.
     pub fn next_viewpoint(&self, model: &ModelMap, world_from_camera: &Pose) -> Option<Viewpoint> {
-        next_viewpoint(&self.coverage(), model, world_from_camera, &self.optics)
+        let optics = &self.candidates.optics;
+        next_viewpoint(&self.coverage(), model, world_from_camera, optics)
     }
 
     /// Share of an infrared image's pixels at full scale.
     pub fn saturated_share(&self, counts: &Image<u16>) -> f64 {
-        saturated_share(counts, self.optics.full_scale)
-    }
-
-    fn pool(&self) -> &Pool {
-        match &self.method {
-            Method::Sequence(sequence) => sequence.pool(),
-            Method::Stream(stream) => stream.pool(),
-        }
-    }
-
-    /// How many images are chosen at most, and what the last of them must add.
-    fn bounds(&self) -> (usize, f64) {
-        match &self.method {
-            Method::Sequence(sequence) => sequence.bounds(),
-            Method::Stream(stream) => stream.bounds(),
-        }
+        saturated_share(counts, self.candidates.optics.full_scale)
     }
 }

@@ -101,7 +101,7 @@ pub enum RejectReason {
     },
     /// Kinect I: light there is, but not the lamp's; it tells what the room adds to the lamp.
     Unlit {
-        /// Brightness against that of the pose under the lamp.
+        /// Brightness against that of the pose under the lamp, or of the brightest pose, distance allowed for.
         brightness: f64,
     },
     /// Kinect I: no speckle, but depth is there, so the projector is not covered.

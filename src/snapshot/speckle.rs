@@ -1,11 +1,12 @@
 //! Telling the lamp's smooth shading from the projector's speckle by the image alone.
 
+use crate::robust::median;
 use depth_camera::Image;
 
-/// Side of the tiles over which high-pass energy is set against the mean, pixels: a few dots wide, smaller than most objects.
-const TILE: usize = 8;
+/// Side of the tiles that images are looked at and compared by, pixels: a few dots wide, smaller than most objects.
+pub(super) const TILE: usize = 8;
 /// A tile is lit from this share of full scale on; a covered, unlit Kinect I shows read noise of 0.005 at most.
-const LIT: f64 = 0.04;
+pub(super) const LIT: f64 = 0.04;
 /// From this energy on an image is speckled. Recorded images of a wall, a sphere and a pot have 0.378 to 0.456 under the
 /// projector and 0.016 to 0.040 under the lamp; this is the geometric middle of the gap.
 pub(super) const SPECKLED: f64 = 0.12;
@@ -56,10 +57,7 @@ pub fn texture(counts: &Image<u16>, full_scale: f64) -> Texture {
     let n_lit = energies.len();
     Texture {
         lit_share: n_lit as f64 / (columns * rows).max(1) as f64,
-        speckle_energy: match n_lit {
-            0 => 0.0,
-            _ => *energies.select_nth_unstable_by(n_lit / 2, f64::total_cmp).1,
-        },
+        speckle_energy: median(&mut energies).unwrap_or(0.0),
     }
 }
 

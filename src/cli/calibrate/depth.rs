@@ -2,12 +2,13 @@
 
 use super::{DepthArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
 use crate::cli::{
-    run::{Verdict, all_processors, calibration_folder},
+    run::{Verdict, all_processors, calibration_folder, session_name},
     stdout::Stdout,
 };
 use anyhow::{Context, ensure};
 use depth_camera::Sensor;
 use relief::{
+    calibrate::INTERVAL_SIGMAS,
     config::{
         CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, Measurement, Overrides,
         calibration_path, find_calibration,
@@ -23,9 +24,6 @@ use std::{
     path::Path,
     time::SystemTime,
 };
-
-/// Half the width of a 95 % interval in standard deviations.
-const INTERVAL_SIGMAS: f64 = 1.96;
 
 /// `relief calibrate depth`.
 pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
@@ -110,7 +108,7 @@ fn print(measured: &MeasuredWhite) -> io::Result<()> {
 }
 
 fn measurement(measured: &MeasuredWhite, session: &Path) -> anyhow::Result<Measurement> {
-    let session = measured_session(session)?;
+    let session = measured_session(session_name(session), session)?;
     let half_interval = INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0;
     let figures = [
         ("half_interval_95", half_interval),

@@ -3,7 +3,10 @@
 use super::targets::Aim;
 use nalgebra::Point3;
 use relief::{
-    calibrate::{Estimate, INLIER, InverseSquare, Measured, Priors, ResponseCheck, Scan, Target},
+    calibrate::{
+        Estimate, INLIER, INTERVAL_SIGMAS, InverseSquare, Measured, Priors, ResponseCheck, Scan,
+        Target,
+    },
     config::CalibrationKey,
     export::{CalibrationResult, CalibrationSession},
 };
@@ -177,13 +180,11 @@ impl Findings {
         }
         if estimate.flat_is_measured {
             let (rms, corner) = self.flat_uncertainty();
+            let [rms, corner] = [rms, corner].map(|sigma| 100.0 * INTERVAL_SIGMAS * sigma);
             results.push(result(
                 "flat field, lens and lobe together",
-                format!("known to {:.2} %", 196.0 * rms),
-                format!(
-                    "RMS over the image, {:.2} % in the worst corner",
-                    196.0 * corner
-                ),
+                format!("known to {rms:.2} %"),
+                format!("RMS over the image, {corner:.2} % in the worst corner"),
             ));
         }
         let lobe = estimate.lobe_power();
@@ -213,7 +214,7 @@ impl Findings {
 
     fn light_results(&self) -> Vec<CalibrationResult> {
         let (measured, told) = (self.estimate.light_position(), self.axes_told());
-        let before_mm = 1.96 * self.priors.light_sigma_m * 1e3;
+        let before_mm = INTERVAL_SIGMAS * self.priors.light_sigma_m * 1e3;
         let lobe = self.estimate.lobe_correlations();
         (0..3)
             .map(|axis| {

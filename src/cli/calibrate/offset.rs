@@ -2,11 +2,11 @@
 
 use super::{OffsetArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
 use crate::cli::{
-    run::{Verdict, calibration_folder},
+    run::{Verdict, calibration_folder, session_name},
     stdout::Stdout,
 };
 use anyhow::{Context, ensure};
-use depth_camera::{DepthCamera, Frame, Sensor};
+use depth_camera::{DepthCamera, Sensor};
 use freenect1::NOMINAL_IR_OFFSET_PX;
 use relief::{
     calibrate::{ImageOffset, OffsetEstimate, combine_offsets, image_offset},
@@ -68,7 +68,7 @@ fn of_shading_images(
         .context("the session has no light for its infrared images")?;
     while let Some(frame) = next_frame(camera)? {
         // The pose does not matter here: depth and IR are compared on the image.
-        let outcome = match depth_share(&frame) > max_covered_share {
+        let outcome = match frame.depth_share() > max_covered_share {
             true => TrackingOutcome::Tracked {
                 world_from_camera: Pose::identity(),
                 fit: None,
@@ -107,13 +107,6 @@ fn of_every_frame(
     Ok(offsets)
 }
 
-fn depth_share(frame: &Frame) -> f64 {
-    frame.depth.as_ref().map_or(0.0, |depth| {
-        let n_valid = depth.data().iter().filter(|z| **z > 0.0).count();
-        n_valid as f64 / depth.data().len().max(1) as f64
-    })
-}
-
 fn print(estimate: &OffsetEstimate, sensor: Sensor) -> io::Result<()> {
     let [right, down] = estimate.offset_px;
     let [right_interval, down_interval] = estimate.half_interval_px;
@@ -141,7 +134,7 @@ fn print(estimate: &OffsetEstimate, sensor: Sensor) -> io::Result<()> {
 }
 
 fn measurement(estimate: &OffsetEstimate, session: &Path) -> anyhow::Result<Measurement> {
-    let session = measured_session(session)?;
+    let session = measured_session(session_name(session), session)?;
     let figures = [
         ("right_half_interval_px", estimate.half_interval_px[0]),
         ("down_half_interval_px", estimate.half_interval_px[1]),

@@ -91,7 +91,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     }
     let found = &device.found;
     let scans = gather(args, &config, &device)?;
-    require_targets(aim, &scans)?;
+    require_targets(aim, args, &scans)?;
 
     let rays = RayGrid::new(CameraModel::new(device.info.intrinsics));
     let sensor = Sensor {
@@ -149,7 +149,7 @@ fn gather(args: &TargetArgs, config: &Config, device: &Device) -> anyhow::Result
         .radius
         .map_or(BallRadius::Unknown, |radius| BallRadius::Given(radius.0));
     let mut scans = Vec::new();
-    for session in &args.sessions {
+    for (session, name) in args.sessions.iter().zip(distinct_names(&args.sessions)) {
         let mut camera = open(session, config)?;
         check_same_device(
             &device.info,
@@ -162,11 +162,26 @@ fn gather(args: &TargetArgs, config: &Config, device: &Device) -> anyhow::Result
         while let Some(frame) = next_frame(camera.as_mut())? {
             gatherer.observe(&ir_offset.remove_from(frame));
         }
-        let scan = gatherer.finish(&session_name(session), radius)?;
-        tracing::info!(session = scan.name, images = scan.images.len(), "gathered");
+        let scan = gatherer.finish(&name, radius)?;
+        tracing::info!(session = scan.name, images = scan.images.len(), shares = %scan.shares, "gathered");
         scans.push(scan);
     }
     Ok(scans)
+}
+
+/// Names of sessions by which they can be told apart: one that was there before gets a number.
+fn distinct_names(sessions: &[PathBuf]) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    for session in sessions {
+        let name = session_name(session);
+        let numbered = (2..).map(|number| format!("{name}-{number}"));
+        let free = std::iter::once(name.clone())
+            .chain(numbered)
+            .find(|name| !names.contains(name))
+            .expect("numbers do not end before sessions do");
+        names.push(free);
+    }
+    names
 }
 
 fn check_same_device(
@@ -214,18 +229,33 @@ fn find(
 }
 
 /// What a command cannot do without.
-fn require_targets(aim: Aim, scans: &[Scan]) -> anyhow::Result<()> {
+fn require_targets(aim: Aim, args: &TargetArgs, scans: &[Scan]) -> anyhow::Result<()> {
     let has_wall = scans.iter().any(|scan| scan.target == Target::Wall);
     let has_sphere = scans.iter().any(|scan| scan.target != Target::Wall);
-    match aim {
-        Aim::Response if !has_sphere => bail!(
-            "no session shows a sphere, from which the response is measured; the sessions show walls only"
+    let what_for = match (aim, args.radius) {
+        (Aim::Response, _) => Some("from which the response is measured"),
+        (_, Some(_)) => Some("whose radius is given"),
+        (Aim::FlatField | Aim::Light, None) => None,
+    };
+    match what_for {
+        Some(what_for) if !has_sphere => bail!(
+            "no session shows a sphere, {what_for}; the sessions show walls only ({})",
+            told_shares(scans)
         ),
-        Aim::FlatField if !has_wall => bail!(
-            "no session shows a plain wall, from which the flat field is measured; the sessions show spheres only"
+        _ if aim == Aim::FlatField && !has_wall => bail!(
+            "no session shows a plain wall, from which the flat field is measured; the sessions show spheres only ({})",
+            told_shares(scans)
         ),
         _ => Ok(()),
     }
+}
+
+/// Why each session was taken for what it was taken for.
+fn told_shares(scans: &[Scan]) -> String {
+    let shares = scans
+        .iter()
+        .map(|Scan { name, shares, .. }| format!("{name}: {shares}"));
+    shares.collect::<Vec<_>>().join("; ")
 }
 
 fn priors(
@@ -235,7 +265,7 @@ fn priors(
     found: &FoundCalibration,
 ) -> anyhow::Result<Priors> {
     let stated = info.light.context("the session states no light")?;
-    let mut light = found.calibration.light.near_light(&stated);
+    let mut light = found.calibration.light.near_light(stated.position_m);
     if let Some(start) = args.start {
         light.position = Point3::from(start.0);
     }
@@ -320,7 +350,8 @@ fn write(
     let measured_sessions = args
         .sessions
         .iter()
-        .map(|session| measured_session(session))
+        .zip(&findings.scans)
+        .map(|(session, scan)| measured_session(scan.name.clone(), session))
         .collect::<anyhow::Result<Vec<_>>>()?;
     let mut device = DeviceCalibration::new(of.serial.clone(), of.info.sensor);
     let state = &findings.estimate.state;
@@ -347,4 +378,16 @@ fn write(
         device.measured.insert(key, measurement);
     }
     merge(path, &device, &of.info, args.file.replace)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sessions_of_one_name_can_be_told_apart() {
+        let sessions = ["a/recording", "b/recording", "b/wall", "c/wall", "a"];
+        let names = distinct_names(&sessions.map(PathBuf::from));
+        assert_eq!(names, ["a", "b", "wall", "wall-2", "a-2"]);
+    }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::fusion::LossReason;
 use crate::geometry::increment;
-use crate::snapshot::{SnapshotSelector, scenes};
+use crate::snapshot::{SnapshotSelection, SnapshotSelector, scenes};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::Vector6;
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
@@ -126,6 +126,26 @@ fn images_from_before_the_lamp_was_lit_are_the_ambient_light_of_their_pose_alone
 }
 
 #[test]
+fn poses_without_the_lamp_are_no_shading_images_however_late_that_is_known() {
+    use Shows::*;
+    let pose = |counts| [Depth(0.0), Lamp(counts), Lamp(counts)];
+    // A lit room, as long as nobody knows the lamp; under the lamp; something darker; the room again.
+    let poses = [pose(60), pose(400), pose(120), pose(60), [Depth(0.0); 3]];
+    let selection = select(&poses.concat());
+    let accepted = selection.accepted.iter().map(|s| s.frame_id);
+    assert_eq!(accepted.collect::<Vec<_>>(), [4, 7]);
+    let told = "without the lamp, 15.0 % as bright as with it".to_owned();
+    assert_eq!(
+        reasons(&selection),
+        [(1, told.clone()), (10, told.clone()), (11, told)]
+    );
+    assert_eq!(
+        selection.reasons(),
+        ["3 times: without the lamp, 15.0 % as bright as with it"]
+    );
+}
+
+#[test]
 fn a_group_during_which_the_camera_moved_is_refused_with_figures() {
     use Shows::*;
     let info = scenes::camera_info(Sensor::Kinect1);
@@ -165,6 +185,29 @@ fn the_pose_before_may_be_trusted_for_a_second() {
         for snapshot in selection.accepted {
             assert_eq!(snapshot.world_from_camera.translation.x, 0.01);
         }
+    }
+}
+
+#[test]
+fn a_pose_that_comes_soon_after_the_exposures_tells_whether_the_camera_was_still() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let params = SnapshotParams {
+        held_pose: HeldPose::BetweenUnlessLate,
+        ..SnapshotParams::default()
+    };
+    // The exposures end with frame 2, a second is 30 frames.
+    for (after, x, n_accepted) in [(31, 0.05, 0), (31, 0.002, 1), (34, 0.05, 1)] {
+        let mut selector = SnapshotSelector::new(&info, params.clone()).unwrap();
+        for (frame_id, shows) in [
+            (0, Depth(0.0)),
+            (1, Lamp(300)),
+            (2, Lamp(300)),
+            (after, Depth(x)),
+        ] {
+            observe(&mut selector, frame_id, shows);
+        }
+        assert_eq!(selector.finish().accepted.len(), n_accepted, "{after} {x}");
     }
 }
 
@@ -259,7 +302,7 @@ fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
     let mut selector = SnapshotSelector::new(camera.info(), SnapshotParams::default()).unwrap();
     while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
         let pose = camera.true_world_from_camera(frame.frame_id as usize);
-        let outcome = match depth_share(&frame) > 0.1 {
+        let outcome = match frame.depth_share() > 0.1 {
             true => scenes::tracked(pose),
             false => TrackingOutcome::NoDepth,
         };

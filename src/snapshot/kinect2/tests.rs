@@ -1,10 +1,10 @@
 //! Tilted planes in closed form, and a simulated scan.
 
 use super::*;
-use crate::fusion::{DepthNoise, Fusion, FusionParams, LossReason};
+use crate::fusion::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
 use crate::geometry::{CameraModel, increment};
-use crate::snapshot::SnapshotSelector;
 use crate::snapshot::scenes::{self, Plane};
+use crate::snapshot::{SnapshotParams, SnapshotSelector};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
