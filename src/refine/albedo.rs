@@ -16,7 +16,8 @@ use super::observations::Observations;
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
 use crate::geometry::TriMesh;
-use crate::shading::{Gloss, Tukey, median_absolute_deviation};
+use crate::robust::{Tukey, median_absolute_deviation};
+use crate::shading::Gloss;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -7,9 +7,9 @@
 use super::gaze::Gaze;
 use super::sites::Sites;
 use super::view::{Sample, View};
-use crate::geometry::{Pose, increment};
-use crate::shading::Tukey;
-use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
+use crate::geometry::increment_about;
+use crate::robust::Tukey;
+use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// How far the images may take a view from where the tracker put it.
@@ -87,16 +87,9 @@ pub fn align_view(view: &mut View, target: &AlignmentTarget, params: &AlignmentP
         let step = cholesky.solve(&-jtr);
         let motion: Vector6<f64> = step.fixed_rows::<6>(0).into();
         let centre = (view.camera_from_world * target.centre).coords;
-        view.camera_from_world = about(&centre, &motion) * view.camera_from_world;
+        view.camera_from_world = increment_about(&centre, &motion) * view.camera_from_world;
         view.gain *= step[6].exp();
     }
-}
-
-/// A small motion whose turn is about `centre`.
-fn about(centre: &Vector3<f64>, xi: &Vector6<f64>) -> Pose {
-    let mut motion = increment(xi);
-    motion.translation.vector += centre - motion.rotation * centre;
-    motion
 }
 
 fn normal_equations(

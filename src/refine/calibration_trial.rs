@@ -20,6 +20,11 @@ use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
 
+/// The calibration that is found has to leave no more than this share of the slow gain that is left by what is believed. A gamma that
+/// is 9 to 40 % off leaves two to ten times what the right one does, on the base surfaces of the recorded scans; in a bowl, whose own
+/// light is guessed, gamma came out 34 % off and left 0.93.
+const MAX_LEFT_SHARE: f64 = 0.8;
+
 /// Views that are asked for the calibration that they were taken with.
 pub struct CalibrationTrial<'a> {
     /// The scan.
@@ -49,7 +54,8 @@ impl CalibrationTrial<'_> {
         told_by_images(&sites, views, optics, params, self.tolerance)
     }
 
-    /// Makes the views anew by what they told against the calibration, if that leaves less slow gain on a level than what is believed.
+    /// Makes the views anew by what they told against the calibration, if that leaves clearly less slow gain on a level than what is
+    /// believed.
     /// With the one that stands they are asked again for the rest.
     pub fn judge(&self, told: Told, level: &Level, mut views: Vec<View>) -> (Told, Vec<View>) {
         let Some(Contradiction { calibration, .. }) = &told.contradiction else {
@@ -67,7 +73,7 @@ impl CalibrationTrial<'_> {
         let found = self.slow_gain(level, &views, &gloss);
         tracing::info!(believed, found, "slow gain by either calibration");
         let is_better = believed.zip(found);
-        if is_better.is_some_and(|(believed, found)| found < believed) {
+        if is_better.is_some_and(|(believed, found)| found < MAX_LEFT_SHARE * believed) {
             let mut rest = self.ask_with(&self.params.self_calibration, &views, relit.optics);
             if rest.contradiction.is_some() {
                 let held = self.params.self_calibration.held();
@@ -136,7 +142,7 @@ mod tests {
     };
 
     #[test]
-    fn what_leaves_more_slow_gain_than_what_is_believed_is_not_told() {
+    fn what_leaves_more_slow_gain_than_what_is_believed_or_hardly_less_is_not_told() {
         let (rays, truth) = (rays(), calibration());
         let true_optics = optics(&rays, &truth);
         let base = RippledPlane { amplitude_m: 0.0 }.mesh(0.0025);
@@ -150,11 +156,16 @@ mod tests {
             ..RefineParams::default()
         };
         let level = coarsest(&base, &params).expect("a surface");
-        let wrong = Calibration {
-            gamma: 0.8 * truth.gamma,
+        let of_gamma = |share: f64| Calibration {
+            gamma: share * truth.gamma,
             ..truth.clone()
         };
-        for (believed, found, stands) in [(&truth, &wrong, false), (&wrong, &truth, true)] {
+        let (wrong, hardly_better) = (of_gamma(0.8), of_gamma(0.81));
+        for (believed, found, stands) in [
+            (&truth, &wrong, false),
+            (&wrong, &hardly_better, false),
+            (&wrong, &truth, true),
+        ] {
             let subject_of = |optics| Subject {
                 scene: &base,
                 object: &base,
@@ -180,7 +191,7 @@ mod tests {
             };
             let (told, views) = trial.judge(told, &level, views_of(&subject, &params));
             assert_eq!(told.contradiction.is_some(), stands);
-            let holds = true_optics.with(&truth);
+            let holds = true_optics.with(if stands { found } else { believed });
             let expected = views_of(&subject_of(&holds), &params);
             let linear = |view: &View| -> Vec<u32> {
                 let values = view.linear().value.data().iter();

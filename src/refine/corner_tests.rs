@@ -4,7 +4,6 @@ use super::gaze::Gaze;
 use super::optics::Optics;
 use super::params::RefineParams;
 use super::preparation::{Preparation, Subject, first_views};
-use super::rounds::radius_about;
 use super::scenes::{FULL_SCALE, calibration, image, optics};
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
@@ -137,7 +136,7 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
     let context = ViewContext {
         scene: &scene,
         centre: Point3::new(0.0, 0.0, EDGE_M),
-        radius_m: radius_about(&scene, &Point3::new(0.0, 0.0, EDGE_M)),
+        radius_m: scene.radius_about(&Point3::new(0.0, 0.0, EDGE_M)),
         optics: &optics,
         trust: &ImageTrust::default(),
         flat: &optics.flat_image(),

@@ -16,7 +16,7 @@ use super::surface::{Surface, normal_by_displacement, unit_normal};
 use super::tint::Tint;
 use super::vertex_system::VertexSystem;
 use crate::geometry::{EdgeAdjacency, TriMesh};
-use crate::shading::Tukey;
+use crate::robust::Tukey;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
 

@@ -7,7 +7,7 @@ mod surfels;
 
 use super::view::{Look, View};
 use crate::geometry::lanes::{LANES, Lane, floor};
-use crate::geometry::{Lens, Pose, Projected};
+use crate::geometry::{Lens, Projected, Rigid};
 use crate::shading::{Gloss, between_pixels};
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3};
@@ -28,42 +28,6 @@ pub struct Gaze<'a> {
     arch: Arch,
     tracked: Rigid,
     refined: Rigid,
-}
-
-/// A rigid motion in single precision.
-#[derive(Clone, Copy)]
-struct Rigid {
-    rows: [[f32; 3]; 3],
-    shift: [f32; 3],
-}
-
-impl Rigid {
-    fn new(pose: &Pose) -> Self {
-        let rotation = pose.rotation.to_rotation_matrix();
-        let row = |k: usize| rotation.matrix().row(k).transpose().cast::<f32>().into();
-        Rigid {
-            rows: [row(0), row(1), row(2)],
-            shift: pose.translation.vector.cast::<f32>().into(),
-        }
-    }
-
-    #[inline(always)]
-    fn point(&self, p: [f32; 3]) -> [f32; 3] {
-        let [x, y, z] = self.turn(p);
-        [x + self.shift[0], y + self.shift[1], z + self.shift[2]]
-    }
-
-    #[inline(always)]
-    fn turn(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
-        self.rows.map(|[a, b, c]| a * x + b * y + c * z)
-    }
-
-    /// The other way.
-    #[inline(always)]
-    fn turn_back(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
-        let [a, b, c] = &self.rows;
-        [0, 1, 2].map(|k| a[k] * x + b[k] * y + c[k] * z)
-    }
 }
 
 /// What a view shows at some points.
@@ -493,7 +457,7 @@ fn firsts(image: &Image<f32>, [u, v]: &[Lane; 2]) -> [usize; LANES] {
 }
 
 /// Keeps those points that no pixel of the four round each shows a surface before. One that is seen aslant from afar hides itself in
-/// places, by what a pixel is deep; that leaves out what tells least (docs/experiments.md).
+/// places, by what a pixel is deep; that leaves out what tells least (docs/experiments-refinement.md).
 #[inline(always)]
 fn keep_unhidden(lens: &Lens, depth_m: &Image<f32>, points: &Lanes3, kept: &mut [bool; LANES]) {
     let (pixel, is_inside) = pixels(lens, points);

@@ -5,6 +5,7 @@
 //! a site that views tell of pulls them towards its own label, by as much as that costs less than any other. A pair of neighbours
 //! pulls by what Eq. (4) has it cost if they differ.
 
+use super::albedo::first_of_most;
 use super::cholesky::Analysis;
 use super::dissection::Graph;
 use super::expansion::Labelling;
@@ -97,14 +98,13 @@ fn within_steps(mut sites: Vec<u32>, graph: &Graph, n_sites: usize) -> Vec<u32> 
     sites
 }
 
-/// The label that most sites have of which views tell.
+/// The label that most sites have of which views tell, the first of several.
 fn commonest(labelling: &Labelling, labels: &[u8]) -> u8 {
     let mut counts = vec![0usize; labelling.n_labels];
     for (site, &label) in labels.iter().enumerate() {
         counts[label as usize] += usize::from(!labelling.is_silent(site));
     }
-    let commonest = (0..labelling.n_labels).max_by_key(|&label| counts[label]);
-    commonest.unwrap_or(0) as u8
+    first_of_most(&counts) as u8
 }
 
 #[cfg(test)]
@@ -171,5 +171,8 @@ mod tests {
         costs[..2].fill(FIRST);
         costs[2..6].fill(SECOND);
         assert_eq!(spread_in_a_row(&costs, 8)[6..], [1; 6]);
+        costs[4..6].fill(SILENT);
+        let labels = spread_in_a_row(&costs, 8);
+        assert_eq!(labels[8..], [0; 4], "the first of two that are as common");
     }
 }

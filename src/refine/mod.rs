@@ -72,7 +72,7 @@ pub use error::RefineError;
 pub use evidence::{Evidence, EvidenceSummary};
 pub use held_out::{HeldOut, ImageError, JudgedView, Judgement};
 pub use numeric::JacobianMode;
-pub use object::{Plane, Roi, select_object, select_roi};
+pub use object::{Roi, select_object, select_roi};
 pub use optics::Optics;
 pub use params::RefineParams;
 pub use pattern::Step;

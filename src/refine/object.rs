@@ -1,7 +1,8 @@
 //! Which part of a base mesh is the object: what stands above the dominant plane where the cameras looked, with the parts
 //! that touch it; or what lies in a box.
 
-use crate::geometry::{EdgeAdjacency, Pose, TriMesh};
+use crate::geometry::{EdgeAdjacency, Plane, Pose, TriMesh, cell_of};
+use crate::snapshot::attention;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::cmp::Ordering;
@@ -16,28 +17,11 @@ pub struct Roi {
     pub max: Point3<f64>,
 }
 
-/// A plane `normal·x = offset_m`, its normal out of the surface.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plane {
-    /// Unit normal.
-    pub normal: Vector3<f64>,
-    /// Distance of the plane from the origin along the normal, metres.
-    pub offset_m: f64,
-}
-
-impl Plane {
-    /// Signed height of a point above the plane, metres.
-    pub fn height_m(&self, point: &Point3<f64>) -> f64 {
-        self.normal.dot(&point.coords) - self.offset_m
-    }
-}
-
 /// A face belongs to a plane within this distance, metres: three sigmas of fused depth.
 const PLANE_REACH_M: f64 = 0.006;
-/// ... and within this angle of its normal: 20°, since normals of a fused mesh are noisy.
-const PLANE_MIN_COSINE: f64 = 0.94;
-/// A plane must hold this share of the surface to be the one that the object stands on; arbitrary.
-const PLANE_MIN_SHARE: f64 = 0.15;
+/// Times that the best plane is fitted anew to the faces on it, at most; it ends before where that brings no more surface onto it.
+/// Arbitrary.
+const PLANE_FITS: usize = 5;
 /// What is lower than this above the plane is the plane, metres.
 const STAND_OFF_M: f64 = 0.006;
 /// ... unless the object encloses it, at so much of its border, and it lies higher than this above the plane in the mean,
@@ -48,10 +32,10 @@ const FLOOR_MIN_HEIGHT_M: f64 = 0.002;
 const TOUCH_M: f64 = 0.008;
 /// Smaller parts are noise, m²; arbitrary.
 const MIN_PART_AREA_M2: f64 = 1e-4;
-/// Surfaces count by how near the optical axes they lie: Gaussian of this angle, radians.
-const ATTENTION_RAD: f64 = 0.14;
-/// ... of which one in so many is asked, which neighbours in a list of faces hardly differ in.
+/// Of so many faces one is asked how near the optical axes it lies, in which neighbours in a list of faces hardly differ.
 const ATTENTION_EVERY: usize = 4;
+/// ... and of all cameras about so many, spread over the scan: enough for every side that was looked from. Arbitrary.
+const ATTENTION_CAMERAS: usize = 24;
 
 /// The faces of the base mesh inside a box.
 pub fn select_roi(mesh: &TriMesh, roi: &Roi) -> TriMesh {
@@ -178,7 +162,7 @@ fn measure_parts(
     world_from_cameras: &[Pose],
 ) -> Vec<Part> {
     let mut parts = vec![Part::default(); n_parts];
-    let every = world_from_cameras.len().div_ceil(24).max(1);
+    let every = world_from_cameras.len().div_ceil(ATTENTION_CAMERAS).max(1);
     let cameras: Vec<Pose> = world_from_cameras
         .iter()
         .step_by(every)
@@ -192,8 +176,7 @@ fn measure_parts(
         let centroid = mesh.centroid(face);
         let nearness = |camera_from_world: &Pose| {
             let point = camera_from_world * centroid;
-            let angle = point.x.hypot(point.y).atan2(point.z);
-            (-0.5 * (angle / ATTENTION_RAD).powi(2)).exp()
+            attention(point.x.hypot(point.y).atan2(point.z))
         };
         let attention: f64 = cameras.iter().map(nearness).sum();
         (area_m2, area_m2 * attention)
@@ -210,13 +193,14 @@ fn measure_parts(
 /// The parts connected to `main` by gaps of less than `TOUCH_M`, noise left out.
 fn touching_parts(mesh: &TriMesh, labels: &[u32], parts: &[Part], main: usize) -> Vec<bool> {
     // Parts meet where their vertices share a cell of a grid, or neighbouring cells.
-    let cell_of = |p: &Point3<f64>| [p.x, p.y, p.z].map(|x| (x / TOUCH_M).floor() as i32);
     let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
     for (face, &label) in labels.iter().enumerate() {
         if parts[label as usize].area_m2 < MIN_PART_AREA_M2 {
             continue;
         }
-        let cell = cells.entry(cell_of(&mesh.centroid(face))).or_default();
+        let cell = cells
+            .entry(cell_of(&mesh.centroid(face), TOUCH_M))
+            .or_default();
         if !cell.contains(&label) {
             cell.push(label);
         }
@@ -276,10 +260,7 @@ pub fn dominant_plane(mesh: &TriMesh) -> Option<Plane> {
     let candidates = (0..N_TRIALS.min(faces.len())).map(|trial| {
         // A stride that shares no factor with most counts visits faces all over the mesh.
         let (point, normal, _) = &faces[(trial * 7919) % faces.len()];
-        Plane {
-            normal: *normal,
-            offset_m: normal.dot(&point.coords),
-        }
+        Plane::through(point, *normal)
     });
     let candidates: Vec<Plane> = candidates.collect();
     let supports: Vec<f64> = candidates.par_iter().map(support).collect();
@@ -287,7 +268,7 @@ pub fn dominant_plane(mesh: &TriMesh) -> Option<Plane> {
         .into_iter()
         .zip(supports)
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
-    for _ in 0..5 {
+    for _ in 0..PLANE_FITS {
         let Some(fitted) = fit_plane(&plane, &faces) else {
             break;
         };
@@ -297,11 +278,11 @@ pub fn dominant_plane(mesh: &TriMesh) -> Option<Plane> {
         }
         (plane, area) = (fitted, fitted_area);
     }
-    (area >= PLANE_MIN_SHARE * total).then_some(plane)
+    (area >= Plane::SUPPORT_SHARE * total).then_some(plane)
 }
 
 fn on_plane(plane: &Plane, (point, normal, _): &(Point3<f64>, Vector3<f64>, f64)) -> bool {
-    plane.height_m(point).abs() < PLANE_REACH_M && plane.normal.dot(normal) > PLANE_MIN_COSINE
+    plane.holds(point, normal, PLANE_REACH_M)
 }
 
 /// Least-squares plane through the faces that lie on `plane`, weighted by area.
@@ -322,8 +303,5 @@ fn fit_plane(plane: &Plane, faces: &[(Point3<f64>, Vector3<f64>, f64)]) -> Optio
         normal
     };
     let normal = normal.try_normalize(0.0)?;
-    Some(Plane {
-        normal,
-        offset_m: normal.dot(&mean),
-    })
+    Some(Plane::through(&Point3::from(mean), normal))
 }

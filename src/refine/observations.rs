@@ -10,7 +10,7 @@ use super::sites::Sites;
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::lanes::LANES;
-use crate::shading::median_absolute_deviation;
+use crate::robust::median_absolute_deviation;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::ops::Range;

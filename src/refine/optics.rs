@@ -25,7 +25,7 @@ impl<'a> Optics<'a> {
     pub fn of(info: &CameraInfo, rays: &'a RayGrid, calibration: &'a Calibration) -> Option<Self> {
         Some(Optics {
             rays,
-            light: calibration.light.near_light(&info.light?),
+            light: calibration.light.near_light(info.light?.position_m),
             full_scale: info.ir_full_scale?,
             calibration,
             depth_noise: DepthNoise::of_sensor(info.sensor),
@@ -42,16 +42,10 @@ impl<'a> Optics<'a> {
     where
         'a: 'b,
     {
-        let light = &calibration.light;
-        let position = light
-            .position_m
-            .map_or(self.light.position, nalgebra::Point3::from);
+        let believed_m = self.light.position.coords.into();
         Optics {
             rays: self.rays,
-            light: NearLight {
-                position,
-                lobe_power: light.lobe_power,
-            },
+            light: calibration.light.near_light(believed_m),
             full_scale: self.full_scale,
             calibration,
             depth_noise: self.depth_noise,

@@ -1,7 +1,7 @@
 //! The anchor of Eq. (8) as depth knows it: fused depth is off slowly, by a fraction of a millimetre over centimetres, and
 //! wrong in the detail, which the sensor blurs. What it holds is therefore the mean displacement of a patch of the surface.
 
-use crate::geometry::TriMesh;
+use crate::geometry::{TriMesh, cell_of, facing_side};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
@@ -15,10 +15,8 @@ const MAX_VERTICES: usize = 20;
 pub fn cut(mesh: &TriMesh, normals: &[Vector3<f64>], size_m: f64) -> Vec<Patch> {
     let mut cells: BTreeMap<([i32; 3], usize), Patch> = BTreeMap::new();
     for (vertex, (point, normal)) in mesh.vertices.iter().zip(normals).enumerate() {
-        let cell = [point.x, point.y, point.z].map(|x| (x / size_m).floor() as i32);
-        let axis = normal.iamax();
-        let side = 2 * axis + usize::from(normal[axis] < 0.0);
-        cells.entry((cell, side)).or_default().push(vertex as u32);
+        let place = (cell_of(point, size_m), facing_side(normal));
+        cells.entry(place).or_default().push(vertex as u32);
     }
     cells
         .into_values()

@@ -9,16 +9,17 @@ use super::level::{Level, levels};
 use super::observations::Observations;
 use super::optics::Optics;
 use super::params::RefineParams;
-use super::rounds::{Rounds, State, centre_of, radius_about};
+use super::rounds::{Rounds, State};
 use super::self_calibration::{Told, Tolerance, gloss_of_materials};
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
 use super::surface::Surface;
-use super::view::{HIDING_CELL_M, SATURATION, View, ViewContext};
+use super::view::{HIDING_CELL_M, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
 use crate::interreflection::WhiteLevel;
-use crate::shading::{Gloss, median};
+use crate::robust::median;
+use crate::shading::{Gloss, SATURATION};
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -40,7 +41,7 @@ pub struct Subject<'a> {
 impl Subject<'_> {
     /// What a pixel covers of the object, metres, in the median of the images; 0 without any.
     pub fn footprint_m(&self) -> f64 {
-        let centre = centre_of(self.object);
+        let centre = self.object.centre();
         let focal_px = self.optics.rays.camera().intrinsics().fx;
         let of_image = |snapshot: &ShadingSnapshot| {
             let in_camera = snapshot.world_from_camera.inverse_transform_point(&centre);
@@ -92,7 +93,7 @@ impl Preparation {
         }
         check_manifold(object)?;
         let params = params.for_object(object, subject.footprint_m());
-        let centre = centre_of(object);
+        let centre = object.centre();
         // Meshing keeps one thread busy.
         let (levels, views) =
             rayon::join(|| levels(object, &params), || views_of(subject, &params));
@@ -340,11 +341,11 @@ pub fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
         snapshots,
         optics,
     } = *subject;
-    let centre = centre_of(object);
+    let centre = object.centre();
     let context = ViewContext {
         scene: &coarsened(scene, HIDING_CELL_M),
         centre,
-        radius_m: radius_about(object, &centre),
+        radius_m: object.radius_about(&centre),
         optics,
         trust: &params.trust,
         flat: &optics.flat_image(),
@@ -366,11 +367,7 @@ pub fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
 fn plausible_white(views: &[View]) -> Option<WhiteLevel> {
     let plausible = views.iter().filter_map(|view| view.plausible_white);
     let mut plausible: Vec<f64> = plausible.map(|WhiteLevel(white)| white).collect();
-    let middle = plausible.len() / 2;
-    (middle < plausible.len()).then(|| {
-        let (_, median, _) = plausible.select_nth_unstable_by(middle, f64::total_cmp);
-        WhiteLevel(*median)
-    })
+    median(&mut plausible).map(WhiteLevel)
 }
 
 /// The first so many views.

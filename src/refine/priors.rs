@@ -2,6 +2,7 @@
 
 use super::couplings::Couplings;
 use super::energy::{NormalMatrix, Problem};
+use super::params::RefineParams;
 use super::patches::Patch;
 
 /// Weights of the priors, in units of the surface.
@@ -13,6 +14,24 @@ pub struct PriorWeights {
     pub rest: f64,
     /// Of a squared difference of displacements along an edge, per m²: Eq. (7).
     pub smoothness: f64,
+}
+
+impl PriorWeights {
+    /// The priors in the solver's units, for a mesh of equilateral faces: a vertex has the area √3/2 h², cotangent weights are
+    /// 1/√3.
+    pub fn new(params: &RefineParams, edge_length_m: f64) -> Self {
+        /// Distance over which the detail of the fused surface goes together, metres: a pixel's footprint or two.
+        const DETAIL_M: f64 = 0.003;
+        /// Standard deviation of a vertex that nothing else holds, metres.
+        const REST_SIGMA_M: f64 = 0.001;
+        let inv_detail2 = 1.0 / (DETAIL_M * DETAIL_M);
+        let area = 0.866 * edge_length_m * edge_length_m;
+        PriorWeights {
+            anchor: 1.0 / (params.patch_sigma_m * params.patch_sigma_m),
+            rest: area * inv_detail2 / (REST_SIGMA_M * REST_SIGMA_M),
+            smoothness: 0.577 * inv_detail2 / (params.slope_sigma_rad * params.slope_sigma_rad),
+        }
+    }
 }
 
 impl Problem<'_> {

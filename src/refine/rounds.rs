@@ -14,8 +14,8 @@ use super::solver::{Iteration, Minimum, RefineStatus, Solver, SolverParams};
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
-use crate::shading::Tukey;
-use nalgebra::{Point3, Vector3};
+use crate::robust::Tukey;
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 /// What stays the same over all rounds.
@@ -50,7 +50,16 @@ pub struct UnseenSurface<'a> {
 
 /// Tukey cut-offs of the first round, those after it, and the last: true relief is a large residual at first, and what a finer mesh
 /// tells of it is again.
-const CUTOFFS: [f64; 3] = [9.0, 6.5, 4.685];
+const CUTOFFS: [f64; 3] = [9.0, 6.5, Tukey::EFFICIENT_CUTOFF];
+
+/// Times that albedos of one surface, and its tints, are estimated anew without what the last estimate shows to be outliers. Arbitrary.
+const REWEIGHTINGS: usize = 3;
+/// The solve of a round ends with the step that lowers the energy by less than this share, since the next round weighs the images anew.
+/// Arbitrary.
+const MIN_DECREASE: f64 = 1e-4;
+/// No vertex moves farther in one step, along its normal, than so many lengths of an edge: one whose ends go opposite ways then turns
+/// by 39°, less than the 60° at which steps are held back. Arbitrary within that.
+const MAX_STEP_EDGES: f64 = 0.4;
 
 /// The loss at the end, for residuals of a given scale in sigmas.
 pub fn final_loss(scale: f64) -> Tukey {
@@ -63,7 +72,7 @@ impl Rounds<'_> {
     pub fn first_albedo(&self, surface: &Surface, sites: &Sites, views: &[View]) -> Option<Albedo> {
         let observations = Observations::new(sites, views, None, None);
         let mut albedo = self.estimate_albedo(sites, &observations, None)?;
-        for _ in 0..3 {
+        for _ in 0..REWEIGHTINGS {
             let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
             let current = Some((&albedo, loss));
             albedo = self.estimate_albedo(sites, &observations, current)?;
@@ -83,7 +92,7 @@ impl Rounds<'_> {
             return albedo;
         }
         // What is printed is an outlier at first.
-        for _ in 0..3 {
+        for _ in 0..REWEIGHTINGS {
             let loss = final_loss(observations.residual_scale(sites, &albedo.by_site));
             let problem = self.problem(observations, &albedo, loss);
             let found = problem.evaluate(surface, &albedo.groups).tints;
@@ -165,8 +174,8 @@ impl Rounds<'_> {
             pattern: &self.level.pattern,
             params: SolverParams {
                 max_steps: self.max_steps(),
-                min_decrease: 1e-4,
-                max_step_m: 0.4 * self.level.edge_length_m,
+                min_decrease: MIN_DECREASE,
+                max_step_m: MAX_STEP_EDGES * self.level.edge_length_m,
             },
         };
         let mut groups = albedo.groups.clone();
@@ -190,7 +199,7 @@ impl Rounds<'_> {
 
     /// The priors of its mesh.
     pub fn prior_weights(&self) -> PriorWeights {
-        prior_weights(self.params, self.level.edge_length_m)
+        PriorWeights::new(self.params, self.level.edge_length_m)
     }
 
     /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held. Returns the
@@ -226,7 +235,7 @@ impl Rounds<'_> {
         albedo: &Albedo,
         loss: Tukey,
     ) {
-        let centre = centre_of(mesh);
+        let centre = mesh.centre();
         let views = views.par_iter_mut().with_max_len(1);
         views.enumerate().for_each(|(k, view)| {
             let (chosen, stands_for) = sites_to_align_by(sites.of_view(k));
@@ -256,7 +265,7 @@ impl<'a> Rounds<'a> {
             mesh,
             sites: Sites::unseen(self.params.sites, mesh).with_gloss(albedo.site_gloss()),
             albedo: &albedo.by_site,
-            centre: centre_of(mesh),
+            centre: mesh.centre(),
         }
     }
 
@@ -340,38 +349,4 @@ fn fit_gain_field(view: &mut View, target: &AlignmentTarget) {
         );
     });
     view.gain_field = sums.solve(GAIN_FIELD_PRIOR);
-}
-
-/// The priors in the solver's units, for a mesh of equilateral faces: a vertex has the area √3/2 h², cotangent weights are
-/// 1/√3.
-pub fn prior_weights(params: &RefineParams, edge_length_m: f64) -> PriorWeights {
-    /// Distance over which the detail of the fused surface goes together, metres: a pixel's footprint or two.
-    const DETAIL_M: f64 = 0.003;
-    /// Standard deviation of a vertex that nothing else holds, metres.
-    const REST_SIGMA_M: f64 = 0.001;
-    let inv_detail2 = 1.0 / (DETAIL_M * DETAIL_M);
-    let area = 0.866 * edge_length_m * edge_length_m;
-    PriorWeights {
-        anchor: 1.0 / (params.patch_sigma_m * params.patch_sigma_m),
-        rest: area * inv_detail2 / (REST_SIGMA_M * REST_SIGMA_M),
-        smoothness: 0.577 * inv_detail2 / (params.slope_sigma_rad * params.slope_sigma_rad),
-    }
-}
-
-/// Mean of the vertices.
-pub fn centre_of(mesh: &TriMesh) -> Point3<f64> {
-    let sum = mesh
-        .vertices
-        .iter()
-        .fold(Vector3::zeros(), |sum, vertex| sum + vertex.coords);
-    Point3::from(sum / mesh.vertices.len() as f64)
-}
-
-/// How far the farthest vertex is from a point, metres.
-pub fn radius_about(mesh: &TriMesh, centre: &Point3<f64>) -> f64 {
-    let squared = mesh
-        .vertices
-        .iter()
-        .map(|vertex| (vertex - centre).norm_squared());
-    squared.fold(0.0, f64::max).sqrt()
 }

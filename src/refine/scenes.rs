@@ -5,7 +5,8 @@ use super::energy::Problem;
 use super::observations::Observations;
 use super::optics::Optics;
 use super::pattern::Pattern;
-use super::rounds::{final_loss, prior_weights, radius_about};
+use super::priors::PriorWeights;
+use super::rounds::final_loss;
 use super::site_motion::SiteMotion;
 use super::sites::{Sites, ViewSet};
 use super::solver::{Solver, SolverParams};
@@ -260,7 +261,7 @@ pub fn views_of(snapshots: &[ShadingSnapshot], base: &TriMesh, believed: &Optics
     let context = ViewContext {
         scene: base,
         centre,
-        radius_m: radius_about(base, &centre),
+        radius_m: base.radius_about(&centre),
         optics: believed,
         trust: &trust,
         flat: &believed.flat_image(),
@@ -303,7 +304,7 @@ pub fn with_problem<T>(
         finds_tints: false,
         sites: params.sites,
         loss: final_loss(3.0),
-        priors: prior_weights(params, params.edge_length_m),
+        priors: PriorWeights::new(params, params.edge_length_m),
         patches: &patches,
         edges: &edges,
         jacobian: params.jacobian,

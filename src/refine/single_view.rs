@@ -9,10 +9,9 @@
 //! Not handled: noise of the depth that goes together over more pixels than the filter reaches.
 
 use super::optics::Optics;
-use super::view::SATURATION;
 use crate::fusion::DepthNoise;
 use crate::geometry::TriMesh;
-use crate::shading::linearise;
+use crate::shading::{SATURATION, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
 use nalgebra::{Point3, Vector3};

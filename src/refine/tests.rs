@@ -16,7 +16,7 @@ use super::solver::SolverParams;
 use super::surface::Surface;
 use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
-use crate::shading::Tukey;
+use crate::robust::Tukey;
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::{Point3, Vector6};
 
@@ -82,7 +82,7 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind, finds_tints: boo
         finds_tints,
         loss: Tukey {
             scale: 2.0,
-            cutoff: 4.685,
+            cutoff: Tukey::EFFICIENT_CUTOFF,
         },
         priors: PriorWeights {
             anchor: 1e8,

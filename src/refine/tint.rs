@@ -9,7 +9,7 @@
 
 use super::energy::Block;
 use super::observations::{Observation, Shown};
-use crate::shading::Tukey;
+use crate::robust::Tukey;
 
 /// By which factor the albedo of a site differs from its group's, where its views tell.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -247,7 +247,7 @@ impl Terms {
 mod tests {
     use super::super::RefineParams;
     use super::super::observations::Observations;
-    use super::super::rounds::prior_weights;
+    use super::super::priors::PriorWeights;
     use super::super::scenes::{
         ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views,
     };
@@ -257,7 +257,7 @@ mod tests {
     use super::*;
     use crate::geometry::{EdgeAdjacency, TriMesh};
     use crate::refine::JacobianMode;
-    use crate::shading::Tukey;
+    use crate::robust::Tukey;
 
     const HIDDEN: RippledPlane = RippledPlane {
         amplitude_m: 0.0003,
@@ -320,7 +320,7 @@ mod tests {
                 scale: 1.0,
                 cutoff: 1e6,
             },
-            priors: prior_weights(&RefineParams::default(), 0.002),
+            priors: PriorWeights::new(&RefineParams::default(), 0.002),
             patches: &[],
             edges: &edges,
             jacobian: JacobianMode::Analytic,

@@ -1,5 +1,6 @@
-//! One shading image made ready for the solver: linear intensities, what hides the object from camera and light, and the
-//! residual of Eq. (6) with its derivatives.
+//! One shading image made ready for the solver: linear intensities, what hides the object from camera and light, and what is
+//! predicted of a site in it ([`Sample`]). The residual of Eq. (6) is in `observations`, with its derivative by the site's motion;
+//! those by a view's pose and gain are in `alignment`.
 
 use super::edge_mask::mask_edges_and_occluders;
 use super::gain_field::GainField;
@@ -7,7 +8,7 @@ use super::light_camera::light_camera;
 use super::optics::Optics;
 use crate::geometry::{CameraModel, Lens, Pose, TriMesh, rasterise};
 use crate::interreflection::{IndirectLight, LitScene, PatchGrid, WhiteLevel};
-use crate::shading::{Gloss, Highlight, LightTable, LinearImage, NearLight, linearise};
+use crate::shading::{Gloss, Highlight, LightTable, LinearImage, NearLight, SATURATION, linearise};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
 use nalgebra::{Point3, Vector2, Vector3};
@@ -90,8 +91,6 @@ pub struct View {
     trust: ImageTrust,
 }
 
-/// From this share of full scale a pixel counts as saturated.
-pub const SATURATION: f64 = 0.985;
 /// What hides is known to no less than this, metres.
 pub const HIDING_CELL_M: f64 = 0.004;
 

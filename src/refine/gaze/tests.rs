@@ -1,5 +1,6 @@
 use super::super::scenes::{RippledPlane, calibration, optics, poses, rays, views};
 use super::*;
+use crate::geometry::Pose;
 use crate::geometry::lanes::arch_levels;
 use nalgebra::Isometry3;
 

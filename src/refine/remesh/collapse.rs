@@ -1,6 +1,6 @@
 //! Collapsing of short edges.
 
-use super::dynamic_mesh::{DynamicMesh, EdgeStar, VertexKind};
+use super::dynamic_mesh::{DynamicMesh, EdgeStar, VertexKind, is_sliver};
 use nalgebra::{Point3, Vector3};
 
 /// Sweeps at most; each sees the edges that the one before has shortened. Arbitrary: rounds repeat the pass anyway.
@@ -8,9 +8,6 @@ const MAX_SWEEPS: usize = 2;
 
 /// Cosine of the angle by which a face may turn, 60°.
 const MIN_TURN_COSINE: f64 = 0.5;
-
-/// Height over longest side below which the normal of a face says nothing, and that of its surroundings counts.
-const SLIVER_HEIGHT: f64 = 0.05;
 
 /// Cosine of the bend up to which a border counts as straight, 20°.
 const STRAIGHT_COSINE: f64 = 0.94;
@@ -180,15 +177,12 @@ fn keeps_shape(mesh: &DynamicMesh, collapse: &Collapse, limits: &CollapseLimits)
 
 /// Whether a face still points its way when its first corner moves to the position of the collapse.
 fn keeps_facing(mesh: &DynamicMesh, face: [u32; 3], collapse: &Collapse) -> bool {
-    let [a, b, c] = face;
     let mut old = mesh.normal(face);
-    let longest = mesh
-        .length_squared(a, b)
-        .max(mesh.length_squared(b, c))
-        .max(mesh.length_squared(c, a));
-    if old.norm_squared() < (SLIVER_HEIGHT * longest).powi(2) {
+    if is_sliver(face.map(|vertex| mesh.position(vertex)), &old) {
+        // Its own says nothing.
         old = surrounding_normal(mesh, collapse);
     }
+    let [_, b, c] = face;
     let position = &collapse.position;
     let new = (mesh.position(b) - position).cross(&(mesh.position(c) - position));
     new.dot(&old) > MIN_TURN_COSINE * (new.norm_squared() * old.norm_squared()).sqrt()

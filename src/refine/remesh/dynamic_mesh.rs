@@ -10,6 +10,19 @@ use nalgebra::{Point3, Vector3};
 /// Corners of a face that has been removed.
 const REMOVED: [u32; 3] = [u32::MAX; 3];
 
+/// Height over longest side up to which a face is a sliver.
+const SLIVER_HEIGHT: f64 = 0.05;
+
+/// Whether a face is so thin that its normal, twice its area long, says nothing.
+#[inline]
+pub(super) fn is_sliver([a, b, c]: [&Point3<f64>; 3], normal: &Vector3<f64>) -> bool {
+    let longest = (b - a)
+        .norm_squared()
+        .max((c - b).norm_squared())
+        .max((a - c).norm_squared());
+    normal.norm_squared() <= (SLIVER_HEIGHT * longest).powi(2)
+}
+
 /// How the faces lie around a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum VertexKind {

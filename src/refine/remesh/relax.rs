@@ -1,6 +1,6 @@
 //! Tangential relaxation, and projection back onto the scanned surface.
 
-use super::dynamic_mesh::{DynamicMesh, VertexKind};
+use super::dynamic_mesh::{DynamicMesh, VertexKind, is_sliver};
 use crate::geometry::TriangleBvh;
 use crate::refine::energy::in_tiles;
 use nalgebra::{Point3, Vector3};
@@ -11,9 +11,6 @@ const MAX_REPAIRS: usize = 4;
 
 /// Cosine of the angle by which a face may turn before its corners are put back, 75°.
 const MIN_TURN_COSINE: f64 = 0.25;
-
-/// Height over longest side below which a face may turn as it likes: its normal says nothing.
-const SLIVER_HEIGHT: f64 = 0.05;
 
 /// More than a place on the surface is off by, metres.
 const ROUNDING_M: f64 = 1e-9;
@@ -112,15 +109,12 @@ fn put_back_folds(mesh: &mut DynamicMesh, old: &[Point3<f64>]) {
 }
 
 fn has_turned(mesh: &DynamicMesh, face: [u32; 3], old: &[Point3<f64>]) -> bool {
-    let [a, b, c] = face.map(|vertex| old[vertex as usize]);
+    let corners = face.map(|vertex| &old[vertex as usize]);
+    let [a, b, c] = corners;
     let (before, after) = ((b - a).cross(&(c - a)), mesh.normal(face));
-    let longest = (b - a)
-        .norm_squared()
-        .max((c - b).norm_squared())
-        .max((a - c).norm_squared());
     let along = after.dot(&before);
-    let (before, after) = (before.norm_squared(), after.norm_squared());
-    let is_sliver = before <= (SLIVER_HEIGHT * longest).powi(2);
-    let stands = along > 0.0 && along * along >= MIN_TURN_COSINE.powi(2) * after * before;
-    !is_sliver && !stands
+    let least = MIN_TURN_COSINE.powi(2) * after.norm_squared() * before.norm_squared();
+    let stands = along > 0.0 && along * along >= least;
+    // A sliver may turn as it likes.
+    !stands && !is_sliver(corners, &before)
 }

@@ -2,7 +2,8 @@
 
 use super::SelfCalibrationParams;
 use super::lit_patch::{LitPatch, Reading};
-use crate::shading::{Calibration, Gloss, NearLight, Tukey, median, median_absolute_deviation};
+use crate::robust::{Tukey, median, median_absolute_deviation};
+use crate::shading::{Calibration, Gloss, NearLight};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, SVector, Vector3};
 use rayon::prelude::*;
 
@@ -16,7 +17,8 @@ const INDIRECT_SIGMA: f64 = 0.3;
 /// show is missing, and what stands between is not seen. However many patches there are, they tell no better than that.
 const MODEL_SIGMA: f64 = 0.0022;
 const INDIRECT_MODEL_SIGMA: f64 = 0.035;
-/// Standard deviation of a view's gain as a share of it: as in alignment.
+/// Standard deviation of a view's gain as a share of it: how much the exposures of one device differ. What alignment is configured
+/// to allow changes none of that.
 const GAIN_SIGMA: f64 = 0.015;
 /// Standard deviation of the logarithm of gloss's exponent, and the exponents that are believed.
 const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
@@ -31,8 +33,6 @@ const N_SHARED: usize = N_LIT + N_OF_GLOSS;
 /// Gauss-Newton steps at most, and the largest change, in standard deviations of what changes, that ends them.
 const MAX_STEPS: usize = 12;
 const SETTLED_SIGMAS: f64 = 0.05;
-/// Cut-off of the loss in scales: 95 % efficient on Gaussian residuals.
-const CUTOFF: f64 = 4.685;
 /// Patches that are summed one after the other, whatever the threads.
 const TILE: usize = 128;
 
@@ -103,10 +103,8 @@ impl Unknowns {
         let by_normal = arriving + highlight.by_normal * strength;
         // The light moves as the point does, the other way.
         let by_light = self.light.irradiance_by_point(&reading.point, &normal) / irradiance;
-        let ray = reading.point - self.light.position;
-        let log_cosine = (ray.z / ray.norm()).max(f64::MIN_POSITIVE).ln();
         let lit_directly = normal.dot(&direct) + strength * highlight.value;
-        let by_lobe = -lit_directly / irradiance * log_cosine;
+        let by_lobe = -lit_directly / irradiance * self.light.log_cosine(&reading.point);
         let by_indirect = -normal.dot(&indirect) / irradiance;
         Some(Row {
             residual: reading.log_observed * self.inv_gamma
@@ -334,7 +332,7 @@ pub fn fit(
     for _ in 0..MAX_STEPS {
         let loss = Tukey {
             scale: residual_scale(patches, &unknowns),
-            cutoff: CUTOFF,
+            cutoff: Tukey::EFFICIENT_CUTOFF,
         };
         let n = Unknowns::at_gloss(unknowns.gloss.len()) + unknowns.log_gains.len();
         let tiles: Option<Vec<(Normal, Vec<Own>)>> = patches
@@ -397,7 +395,7 @@ fn deviations(information: &Cholesky<f64, Dyn>) -> Vec<f64> {
 pub fn loss(patches: &[LitPatch], unknowns: &Unknowns) -> f64 {
     let loss = Tukey {
         scale: 1.0,
-        cutoff: CUTOFF,
+        cutoff: Tukey::EFFICIENT_CUTOFF,
     };
     let of_patch = |patch: &LitPatch| {
         let readings = patch.readings.iter().filter_map(|reading| {
@@ -429,7 +427,6 @@ pub fn residual_scale(patches: &[LitPatch], unknowns: &Unknowns) -> f64 {
 mod tests {
     use super::*;
     use crate::refine::scenes::calibration;
-    use depth_camera::{Light, LightKind};
     use nalgebra::Point3;
 
     #[test]
@@ -443,13 +440,9 @@ mod tests {
     }
 
     fn derivatives_match_differences_with(gloss: Gloss) {
-        let light = Light {
-            position_m: [0.05, 0.01, 0.0],
-            kind: LightKind::Emitter,
-        };
         let unknowns = Unknowns {
             inv_gamma: 1.2,
-            light: calibration().light.near_light(&light),
+            light: calibration().light.near_light([0.05, 0.01, 0.0]),
             log_indirect: 0.2,
             gloss: vec![Gloss::default(), gloss],
             log_gains: vec![0.1],

@@ -1,5 +1,6 @@
 //! Patches of the surface as the views see them, integrated, so that only their rims count.
 
+use crate::geometry::cell_of;
 use crate::refine::albedo::first_of_most;
 use crate::refine::gaze::Gaze;
 use crate::refine::optics::Optics;
@@ -21,7 +22,8 @@ const MIN_SEEN_SHARE: f64 = 0.8;
 const MIN_VIEWS: usize = 4;
 /// How far Eq. (1) is believed of a patch, as a share of its intensity.
 const MODEL_SIGMA: f64 = 0.02;
-/// Distance over which what surface and model get wrong goes together, metres: as in alignment.
+/// Distance over which what surface and model get wrong goes together, metres. Shorter than alignment's, which has to withstand a
+/// surface that is slowly wrong: here each patch has an albedo and a tilt of its own, which take that up.
 const CORRELATION_M: f64 = 0.03;
 
 /// A patch in one view.
@@ -62,8 +64,8 @@ impl LitPatch {
         let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
         for (face, point) in sites.points.iter().enumerate() {
             if sites.visible[face] != 0 {
-                let cell = [point.x, point.y, point.z].map(|x| (x / side_m).floor() as i32);
-                cells.entry(cell).or_default().push(face as u32);
+                let cell = cells.entry(cell_of(point, side_m)).or_default();
+                cell.push(face as u32);
             }
         }
         let cells: Vec<Vec<u32>> = cells.into_values().collect();
