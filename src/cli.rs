@@ -59,7 +59,7 @@ pub enum Command {
     Refine(RefineArgs),
     /// Record a session of a simulated sensor
     Simulate(SimulateArgs),
-    /// Fuse and refine the recording that comes with the program
+    /// Fuse and refine the recording that comes with the source
     Demo(DemoArgs),
     /// Measure tracking and fusion on a recorded session
     Bench(BenchArgs),
@@ -92,7 +92,11 @@ impl Command {
         match self {
             Command::Refine(args) if args.progress_json => ProgressStyle::JsonLines,
             _ if self.prints_json() => ProgressStyle::Silent,
-            _ => ProgressStyle::of_stderr(),
+            Command::Replay(_) | Command::Refine(_) | Command::Demo(_) => {
+                ProgressStyle::of_stderr()
+            }
+            // A bar that nothing moves would stand below every line of the log.
+            _ => ProgressStyle::Silent,
         }
     }
 
@@ -396,5 +400,16 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn progress_is_shown_where_there_is_some() {
+        let style = |arguments: &[&str]| {
+            let arguments = [&["relief"], arguments].concat();
+            Cli::parse_from(arguments).command.progress_style()
+        };
+        assert_ne!(style(&["demo"]), ProgressStyle::Silent);
+        assert_eq!(style(&["run"]), ProgressStyle::Silent);
+        assert_eq!(style(&["bench", "session"]), ProgressStyle::Silent);
     }
 }

@@ -124,6 +124,7 @@ impl Config {
         self.capture.validate()?;
         self.devices.validate()?;
         self.fusion.validate()?;
+        self.capture.check_depth_range(self.fusion.depth_max_m)?;
         self.snapshot.validate()?;
         self.object.validate()?;
         self.refine.validate()?;

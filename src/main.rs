@@ -11,8 +11,8 @@ use cli::{
     run::{self, Verdict},
     session, summary,
 };
-use relief::control::Progress;
-use std::process::ExitCode;
+use relief::control::{Progress, Stderr};
+use std::{io::Write, process::ExitCode};
 
 /// The system's own kept ever more of what a daemon lets go over hours.
 #[cfg(feature = "jemalloc")]
@@ -48,7 +48,7 @@ fn main() -> ExitCode {
             // That nothing can be printed may be the error.
             let _ = summary::print_error(&told);
         }
-        eprintln!("error: {told}");
+        let _ = writeln!(Stderr, "error: {told}");
         Verdict::of_error(&error)
     });
     verdict.into()

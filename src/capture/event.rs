@@ -3,7 +3,6 @@
 use super::DeviceHealth;
 use crate::geometry::Pose;
 use serde::Serialize;
-use std::path::PathBuf;
 
 /// What tracking tells the recorder.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,7 +99,7 @@ pub enum EventKind {
     },
     /// The scan as it is was written down, to be refined.
     Interim {
-        /// Where.
-        folder: PathBuf,
+        /// Counts up over the scan.
+        number: u32,
     },
 }

@@ -140,6 +140,7 @@ impl FrameRecorder {
 
     /// Records a frame; why the recording ended, if it did now.
     pub(super) fn frame(&mut self, delivered: &DeliveredFrame) -> Option<Stopped> {
+        self.ask_disk();
         let (frame, ir) = (&delivered.frame, delivered.infrared());
         let written = match &mut self.writer {
             None => return None,
@@ -171,6 +172,7 @@ impl FrameRecorder {
 
     /// Records a pose, world from camera.
     pub(super) fn pose(&mut self, device_time_secs: f64, pose: &Pose) -> Option<Stopped> {
+        self.ask_disk();
         let Some(FrameWriter::Mcap(writer)) = &mut self.writer else {
             return None;
         };
@@ -266,5 +268,39 @@ impl FrameRecorder {
         }
         self.disk_asked = Some(Instant::now());
         self.standing.disk_free_bytes = free_bytes(&self.folder).ok();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use depth_camera::DepthCamera;
+    use simulated::SimulatedCamera;
+    use std::sync::Arc;
+
+    /// What a scan does at every frame.
+    type Act<'a> = &'a dyn Fn(&mut FrameRecorder) -> Option<Stopped>;
+
+    #[test]
+    fn the_disk_is_asked_by_what_comes_though_the_recording_has_ended() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut camera = SimulatedCamera::kinect1_plaque(1, 0);
+        let params = CaptureParams {
+            min_free_disk_mb: 0,
+            ..CaptureParams::default()
+        };
+        let mut recorder = FrameRecorder::create(folder.path(), camera.info(), &params).unwrap();
+        recorder.writer = None;
+        let frame = camera.grab(Duration::ZERO).unwrap().unwrap();
+        let delivered = DeliveredFrame::unmoved(Arc::new(frame));
+        let acts: [Act; 2] = [&|recorder| recorder.frame(&delivered), &|recorder| {
+            recorder.pose(0.0, &Pose::identity())
+        }];
+        for act in acts {
+            recorder.disk_asked = None;
+            recorder.standing.disk_free_bytes = None;
+            assert_eq!(act(&mut recorder), None);
+            assert!(recorder.standing.disk_free_bytes.is_some());
+        }
     }
 }

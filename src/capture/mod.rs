@@ -35,7 +35,7 @@ pub struct CaptureParams {
     pub max_silence_secs: f64,
     /// A live device that is gone is awaited for so long, seconds, once it has delivered a frame.
     pub reconnect_secs: f64,
-    /// Depth of a recording is stored in steps of 1 / this many metres.
+    /// Depth of a recording is stored in steps of 1 / this many metres, in 16 bits: [`CaptureParams::check_depth_range`].
     pub record_depth_units_per_metre: f64,
     /// Kinect I: how the projector's speckle is kept out of shading images.
     pub shading: ShadingStrategy,
@@ -107,6 +107,22 @@ impl CaptureParams {
         Ok(())
     }
 
+    /// Checks that recorded depth, which has 16 bits, holds all that is fused: what is farther away would be recorded as none.
+    ///
+    /// # Errors
+    /// Names the key, its value and the bound.
+    pub fn check_depth_range(&self, depth_max_m: f64) -> Result<(), String> {
+        let units = self.record_depth_units_per_metre;
+        let high = f64::from(u16::MAX) / depth_max_m;
+        match units <= high {
+            true => Ok(()),
+            false => Err(format!(
+                "capture.record_depth_units_per_metre is {units}, must be at most {high:.1}: depth is recorded in 16 bits, \
+                 and fusion.depth_max_m is {depth_max_m}"
+            )),
+        }
+    }
+
     /// The room that the disk must have, bytes.
     pub fn min_free_bytes(&self) -> u64 {
         u64::from(self.min_free_disk_mb) * 1_000_000
@@ -122,5 +138,26 @@ impl CaptureParams {
 
     fn max_silence(&self) -> Duration {
         Duration::from_secs_f64(self.max_silence_secs)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depth_that_is_fused_must_find_room_in_a_recording() {
+        let fine = CaptureParams {
+            record_depth_units_per_metre: 50_000.0,
+            ..CaptureParams::default()
+        };
+        fine.validate().unwrap();
+        fine.check_depth_range(1.3).unwrap();
+        let refused = fine.check_depth_range(2.0).unwrap_err();
+        let expected =
+            "capture.record_depth_units_per_metre is 50000, must be at most 32767.5: depth is";
+        assert!(refused.starts_with(expected), "{refused}");
+        // The farthest that fusion takes, by default.
+        CaptureParams::default().check_depth_range(12.0).unwrap();
     }
 }

@@ -22,6 +22,8 @@ pub struct RecorderSummary {
     pub trajectory: Vec<(f64, Pose)>,
     /// Data that could not be written, in sentences for the operator.
     pub failures: Vec<String>,
+    /// What the operator should know although all that was recorded is in order, in sentences.
+    pub warnings: Vec<String>,
 }
 
 /// Writes what it is given into one folder. The first failure to write a frame ends the recording of frames, and is told once;
@@ -143,8 +145,8 @@ impl Recorder {
         self.events.refusal()
     }
 
-    /// Whether the recording of frames ended by a failure, not by the room that is to stay free, or an event could not be put into
-    /// words. Events that wait for the disk are [`Recorder::events_refusal`]; those that never found room, the summary's failures.
+    /// Whether the recording of frames ended by a failure, not by the room that is to stay free. Events that wait for the disk are
+    /// [`Recorder::events_refusal`]; those that never found room, the summary's failures.
     pub fn has_failed(&self) -> bool {
         self.has_failed
     }
@@ -172,11 +174,13 @@ impl Recorder {
         };
         let reason = match stopped {
             Stopped::DiskFloor(reason) => {
-                self.tell(reason.clone());
+                tracing::warn!("{reason}");
+                self.summary.warnings.push(reason.clone());
                 reason
             }
             Stopped::Failed(reason) => {
-                self.fail(reason.clone());
+                self.has_failed = true;
+                self.tell(reason.clone());
                 reason
             }
         };
@@ -192,7 +196,7 @@ impl Recorder {
     fn event(&mut self, event: &Event) {
         let line = match serde_json::to_string(event) {
             Ok(line) => line,
-            Err(error) => return self.fail(format!("an event is not written: {error}")),
+            Err(error) => return self.tell(format!("an event is not written: {error}")),
         };
         self.with_event_in_recording(event, &line);
         self.events.push(&line);
@@ -201,11 +205,6 @@ impl Recorder {
     fn with_event_in_recording(&mut self, event: &Event, line: &str) {
         // A recording that has ended takes no more, so that telling of its end ends here.
         self.with_recording(|frames| frames.event(event.device_time_secs, line));
-    }
-
-    fn fail(&mut self, what: String) {
-        self.has_failed = true;
-        self.tell(what);
     }
 
     fn tell(&mut self, what: String) {

@@ -20,6 +20,7 @@ use relief::{
     fusion::{DepthNoise, Fit, Fusion, FusionStep, InfraredOptics, LiveMesh, TrackingOutcome},
     geometry::CameraModel,
     pipeline::{GivenPoses, infrared_optics, peak_memory_bytes},
+    robust,
 };
 use replay::Pacing;
 use serde::Serialize;
@@ -103,6 +104,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &args.overrides())?;
     let pacing = Pacing::AsFastAsPossible;
     let mut camera = open_recording(&args.session, &config.devices, pacing)?;
+    run::tell_unknown_keys(&args.session);
     let n_threads = args.threads.unwrap_or_else(run::all_processors);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(n_threads.get())
@@ -296,11 +298,7 @@ fn process_cpu_ms() -> f64 {
 
 /// The median; 0 of nothing.
 fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    robust::median(values).unwrap_or(0.0)
 }
 
 fn print_text(measured: &Measured) -> io::Result<()> {

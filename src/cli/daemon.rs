@@ -7,7 +7,7 @@ use super::{
 use anyhow::Context;
 use clap::Args;
 use relief::control::{
-    CameraSource, DaemonError, DaemonSetup, SettingsPlaces, TokenError, run_daemon,
+    CameraSource, DaemonError, DaemonSetup, ListenError, SettingsPlaces, TokenError, run_daemon,
 };
 use std::{env, net::SocketAddr, num::NonZeroUsize, path::PathBuf};
 
@@ -23,7 +23,8 @@ pub struct RunArgs {
     /// Begin the session anew whenever it ends
     #[arg(long, requires = "replay")]
     pub repeat: bool,
-    /// Configuration; keys that it leaves out keep their values from the layers below. Read anew on SIGHUP
+    /// Configuration; keys that it leaves out keep their values from the layers below. Read anew on SIGHUP,
+    /// unless standard error is a terminal, whose end it then tells of
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Data directory, of one daemon at a time; $STATE_DIRECTORY, $XDG_STATE_HOME/relief or ~/.local/state/relief without it
@@ -85,12 +86,14 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Verdict> {
 pub fn verdict_of(error: &DaemonError) -> Verdict {
     match error {
         DaemonError::Config(_)
-        | DaemonError::Listen(_)
+        | DaemonError::Listen(ListenError::Unguarded { .. } | ListenError::Tls(_))
         | DaemonError::Token(TokenError::Malformed(_)) => Verdict::BadConfiguration,
         DaemonError::Camera(_) => Verdict::NoDevice,
         DaemonError::Data(_)
         | DaemonError::Worker(_)
         | DaemonError::Token(TokenError::Io { .. }) => Verdict::StorageFailed,
-        DaemonError::System(_) => Verdict::Internal,
+        // An address that is in use, or not there yet, may be had later.
+        DaemonError::Listen(ListenError::Io { .. } | ListenError::Activation(_))
+        | DaemonError::System(_) => Verdict::Internal,
     }
 }

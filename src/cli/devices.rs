@@ -29,7 +29,7 @@ pub struct DevicesArgs {
     /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
     #[arg(long, value_name = "DIR", default_value = "/")]
     pub root: PathBuf,
-    /// Go on, and tell of each Kinect that comes or goes, until SIGINT or SIGTERM
+    /// Go on, and tell of each Kinect that comes or goes, until SIGINT, SIGTERM or SIGHUP
     #[arg(long)]
     pub watch: bool,
     /// Print one JSON object on standard output; with --watch one a line for each change

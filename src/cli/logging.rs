@@ -33,7 +33,9 @@ pub fn log_to_stderr(log_format: LogFormat, progress: &Progress) {
         .with_env_filter(filter)
         .with_target(false)
         .with_ansi(io::stderr().is_terminal() && log_format == LogFormat::Text)
-        .with_writer(progress.log_writer());
+        .with_writer(progress.log_writer())
+        // They would be told on standard error, by what panics where that cannot be written.
+        .log_internal_errors(false);
     match (log_format, is_journal) {
         (LogFormat::Text, false) => lines.without_time().init(),
         (LogFormat::Text, true) => lines

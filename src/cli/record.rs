@@ -3,20 +3,21 @@
 use super::{
     run::{Verdict, calibrations},
     stdout::Stdout,
+    summary::with_causes,
 };
 use anyhow::{Context, ensure};
 use clap::Args;
 use depth_camera::{CameraError, DepthCamera, Frame};
 use relief::{
     config::{self, CalibrationPlaces, Config, Overrides},
-    control,
+    control::{self, Stderr},
     devices::{self, LiveCamera, RecordedCamera},
 };
 use replay::{SessionWriter, WriteError};
 use serde::Serialize;
 use std::{
     io::Write,
-    path::{Path, PathBuf},
+    path::{self, Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
@@ -33,7 +34,7 @@ pub struct RecordArgs {
     /// Record what the device sends, nothing decoded: disparity of a Kinect I, packets of a Kinect II (90 MB/s)
     #[arg(long)]
     pub raw: bool,
-    /// End after so many seconds; else at SIGINT or SIGTERM
+    /// End after so many seconds; else at SIGINT, SIGTERM or SIGHUP
     #[arg(long, value_name = "N", value_parser = seconds)]
     pub seconds: Option<f64>,
     /// Configuration; keys that it leaves out keep their values from the layers below
@@ -65,10 +66,16 @@ fn seconds(text: &str) -> anyhow::Result<f64> {
 /// How long one wait for a frame lasts, after which it is looked whether to stop.
 const GRAB_TIMEOUT: Duration = Duration::from_millis(200);
 
+/// How often it is looked how much room the disk has.
+const LOOK: Duration = Duration::from_millis(500);
+
 /// What was recorded.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Summary {
+    /// `complete` or `failed`.
     status: &'static str,
+    /// What ended it before it was to end.
+    failures: Vec<String>,
     serial: String,
     recorded: usize,
     /// Frames that came damaged.
@@ -90,6 +97,12 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
         session: None,
     };
     let params = config::params_for_device(&args.device, &places, &config.devices)?;
+    let limits = Limits {
+        duration: args.seconds.map(Duration::from_secs_f64),
+        folder: args.out.clone(),
+        floor_bytes: config.capture.min_free_bytes(),
+    };
+    limits.check_room()?;
     let camera = devices::connect(&args.device, &params)?;
     let sink = Sink::create(
         camera,
@@ -98,8 +111,7 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
         config.capture.record_depth_units_per_metre,
     )
     .context("cannot record")?;
-    let limit = args.seconds.map(Duration::from_secs_f64);
-    let summary = control::until_stopped(move |stop| run(sink, limit, stop))??;
+    let summary = control::until_stopped(move |stop| run(sink, &limits, stop))?;
     match args.json {
         true => writeln!(Stdout, "{}", serde_json::to_string(&summary)?)?,
         false => writeln!(
@@ -113,12 +125,47 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
             summary.missed
         )?,
     }
-    Ok(Verdict::Done)
+    for failure in &summary.failures {
+        writeln!(Stderr, "error: {failure}")?;
+    }
+    Ok(match summary.failures.is_empty() {
+        true => Verdict::Done,
+        false => Verdict::Failed,
+    })
+}
+
+/// Where a recording ends, unless somebody stops it.
+struct Limits {
+    duration: Option<Duration>,
+    /// Where it lies.
+    folder: PathBuf,
+    /// Room that is left on that disk.
+    floor_bytes: u64,
+}
+
+impl Limits {
+    /// Looks whether the disk has room. The folder may not be there yet.
+    fn check_room(&self) -> anyhow::Result<()> {
+        let folder = path::absolute(&self.folder)?;
+        let present = folder.ancestors().find(|folder| folder.exists());
+        let free_bytes = mcap_session::free_bytes(present.unwrap_or(&folder))?;
+        ensure!(
+            free_bytes >= self.floor_bytes,
+            "{free_bytes} bytes are free on the disk of {}, recording stops below {} (capture.min_free_disk_mb)",
+            folder.display(),
+            self.floor_bytes
+        );
+        Ok(())
+    }
 }
 
 /// The camera, and where its frames go.
 enum Sink {
-    Frames(LiveCamera, SessionWriter),
+    Frames {
+        camera: LiveCamera,
+        writer: SessionWriter,
+        n_written: usize,
+    },
     Raw(RecordedCamera),
 }
 
@@ -133,12 +180,16 @@ impl Sink {
             return RecordedCamera::create(camera, folder).map(Sink::Raw);
         }
         let writer = SessionWriter::create(folder, camera.info(), depth_units_per_metre)?;
-        Ok(Sink::Frames(camera, writer))
+        Ok(Sink::Frames {
+            camera,
+            writer,
+            n_written: 0,
+        })
     }
 
     fn camera(&mut self) -> &mut dyn DepthCamera {
         match self {
-            Sink::Frames(camera, _) => camera,
+            Sink::Frames { camera, .. } => camera,
             Sink::Raw(camera) => camera,
         }
     }
@@ -147,35 +198,76 @@ impl Sink {
     fn write(&mut self, frame: &Frame) -> Result<bool, WriteError> {
         match self {
             Sink::Raw(camera) => Ok(camera.is_recording()),
-            Sink::Frames(_, writer) => match writer.write(frame) {
+            Sink::Frames {
+                writer, n_written, ..
+            } => match writer.write(frame) {
                 Err(error @ WriteError::Frame { .. }) => {
                     tracing::warn!(%error, "not recorded");
                     Ok(true)
                 }
-                written => written.map(|()| true),
+                written => {
+                    written?;
+                    *n_written += 1;
+                    Ok(true)
+                }
             },
         }
     }
 
-    fn finish(self) -> Result<usize, WriteError> {
+    fn n_written(&self) -> usize {
         match self {
-            Sink::Frames(_, writer) => writer.finish(),
+            Sink::Frames { n_written, .. } => *n_written,
+            Sink::Raw(camera) => camera.n_recorded(),
+        }
+    }
+
+    fn finish(self) -> Result<(), WriteError> {
+        match self {
+            Sink::Frames { writer, .. } => writer.finish().map(|_| ()),
             Sink::Raw(camera) => camera.finish(),
         }
     }
 }
 
-/// Records until the time is over, the flag is set, or the device fails in another way than by being unplugged.
-fn run(mut sink: Sink, limit: Option<Duration>, stop: &AtomicBool) -> anyhow::Result<Summary> {
+/// Records up to a limit, until the flag is set, or something fails.
+fn run(mut sink: Sink, limits: &Limits, stop: &AtomicBool) -> Summary {
     let start = Instant::now();
     let mut summary = Summary {
         status: "complete",
         serial: sink.camera().info().serial.clone(),
         ..Summary::default()
     };
+    let ended = take_frames(&mut sink, limits, &mut summary, stop);
+    summary.seconds = start.elapsed().as_secs_f64();
+    summary.recorded = sink.n_written();
+    let finished = sink.finish().map_err(anyhow::Error::from);
+    for error in [ended, finished].into_iter().filter_map(Result::err) {
+        summary.status = "failed";
+        summary.failures.push(with_causes(&error));
+    }
+    summary
+}
+
+/// Writes frames until the time is over, the flag is set, the disk is nearly full, or the device fails in another way than by
+/// being unplugged.
+fn take_frames(
+    sink: &mut Sink,
+    limits: &Limits,
+    summary: &mut Summary,
+    stop: &AtomicBool,
+) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let mut looked = start;
     let mut next_id = None;
-    let is_over = || stop.load(Ordering::Relaxed) || limit.is_some_and(|l| start.elapsed() >= l);
+    let is_over = || {
+        let is_late = |duration| start.elapsed() >= duration;
+        stop.load(Ordering::Relaxed) || limits.duration.is_some_and(is_late)
+    };
     while !is_over() {
+        if looked.elapsed() >= LOOK {
+            limits.check_room()?;
+            looked = Instant::now();
+        }
         let frame_id = match sink.camera().grab(GRAB_TIMEOUT) {
             Ok(None) => break,
             Ok(Some(frame)) => {
@@ -191,20 +283,37 @@ fn run(mut sink: Sink, limit: Option<Duration>, stop: &AtomicBool) -> anyhow::Re
             }
             Err(CameraError::Timeout { .. } | CameraError::NotDue) => continue,
             Err(CameraError::Disconnected) => {
-                tracing::warn!("unplugged: plug it in again and recording goes on");
+                tracing::warn!(
+                    "unplugged or silent: it is opened again, or plug it in again, and recording goes on"
+                );
                 summary.unplugged += 1;
                 continue;
             }
-            Err(error) => {
-                // What there is stays a whole recording.
-                sink.finish()?;
-                return Err(error.into());
-            }
+            Err(error) => return Err(error.into()),
         };
         summary.missed += frame_id - next_id.unwrap_or(frame_id);
         next_id = Some(frame_id + 1);
     }
-    summary.seconds = start.elapsed().as_secs_f64();
-    summary.recorded = sink.finish()?;
-    Ok(summary)
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_without_room_is_told_of_before_there_is_a_folder() {
+        let root = tempfile::tempdir().unwrap();
+        let check = |floor_bytes| {
+            let limits = Limits {
+                duration: None,
+                folder: root.path().join("new/recording"),
+                floor_bytes,
+            };
+            limits.check_room()
+        };
+        assert!(check(0).is_ok());
+        let error = check(u64::MAX).unwrap_err().to_string();
+        assert!(error.contains("capture.min_free_disk_mb"), "{error}");
+    }
 }

@@ -7,6 +7,8 @@ use super::{
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Frame, Sensor};
 use relief::{
+    atomic_file::is_passing,
+    capture::RecordFormat,
     config::{
         self, CalibrationPlaces, Config, ConfigError, FoundCalibration, LayerPlaces, LayeredConfig,
         Overrides,
@@ -14,7 +16,8 @@ use relief::{
     control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
     devices::open_recording,
     pipeline::{
-        Ending, GivenPoses, Outcome, OutputFolder, Pipeline, PipelineParams, RecordedScan, WhenFull,
+        Ending, GivenPoses, Outcome, OutputFolder, OutputFolderError, Pipeline, PipelineParams,
+        RecordedScan, WhenFull,
     },
 };
 use replay::{Pacing, SessionWriter};
@@ -43,7 +46,7 @@ pub enum Verdict {
     BadConfiguration,
     /// The daemon's camera does not answer.
     NoDevice,
-    /// The daemon's data directory cannot be used.
+    /// The daemon's data directory cannot be used, or a disk does not take the outputs now and may later.
     StorageFailed,
     /// The system refuses what the daemon needs.
     Internal,
@@ -55,7 +58,12 @@ impl Verdict {
         match error.downcast_ref::<DaemonError>() {
             Some(error) => daemon::verdict_of(error),
             None if error.is::<ConfigError>() => Verdict::BadUsage,
-            None => Verdict::Failed,
+            None => match error.downcast_ref::<OutputFolderError>() {
+                Some(OutputFolderError::Io { source, .. }) if is_passing(source) => {
+                    Verdict::StorageFailed
+                }
+                _ => Verdict::Failed,
+            },
         }
     }
 
@@ -63,6 +71,7 @@ impl Verdict {
         match outcome.ending {
             Ending::Stopped => Verdict::Interrupted,
             Ending::Complete if outcome.failures.is_empty() => Verdict::Done,
+            Ending::Complete if outcome.only_lacks_room() => Verdict::StorageFailed,
             Ending::Complete => Verdict::Failed,
         }
     }
@@ -94,11 +103,11 @@ pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict>
     let params = pipeline_params(args, config, camera.info())?;
     let folder = OutputFolder::claim(&args.out)?;
     let outcome = control::operate(|| Pipeline::spawn(camera, params, folder), progress)?;
-    match args.json {
-        true => summary::print_json(&outcome)?,
-        false => summary::print_scan(&outcome)?,
-    }
-    Ok(Verdict::of_outcome(&outcome))
+    let printed = match args.json {
+        true => summary::print_json(&outcome),
+        false => summary::print_scan(&outcome).map_err(Into::into),
+    };
+    verdict_when_told(&outcome, printed)
 }
 
 /// A recorded scan with its configuration and calibration.
@@ -189,11 +198,20 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         || Pipeline::spawn_refinement(recorded, params, folder),
         progress,
     )?;
-    match args.json || args.progress_json {
-        true => summary::print_json(&outcome)?,
-        false => summary::print_refinement(&outcome)?,
+    let printed = match args.json || args.progress_json {
+        true => summary::print_json(&outcome),
+        false => summary::print_refinement(&outcome).map_err(Into::into),
+    };
+    verdict_when_told(&outcome, printed)
+}
+
+/// The verdict of what was told of; an interruption may be that nobody reads any more, as where a terminal was closed.
+fn verdict_when_told(outcome: &Outcome, printed: anyhow::Result<()>) -> anyhow::Result<Verdict> {
+    let verdict = Verdict::of_outcome(outcome);
+    if verdict != Verdict::Interrupted {
+        printed?;
     }
-    Ok(Verdict::of_outcome(&outcome))
+    Ok(verdict)
 }
 
 fn pipeline_params(
@@ -209,10 +227,6 @@ fn pipeline_params(
     };
     let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
-    let unknown_keys = replay::unknown_keys(&args.session);
-    for unknown in &unknown_keys {
-        tracing::warn!("{unknown}");
-    }
     Ok(PipelineParams {
         session: session_name(&args.session),
         capture: config.capture,
@@ -222,7 +236,7 @@ fn pipeline_params(
         object: config.object,
         refine: config.refine,
         is_refined: !args.no_refine,
-        warnings: [found.announce(info), unknown_keys].concat(),
+        warnings: [found.announce(info), tell_unknown_keys(&args.session)].concat(),
         calibration_source: found.source.to_string(),
         calibration: found.calibration,
         roi: args.roi.map(|roi| roi.0),
@@ -262,7 +276,7 @@ pub fn demo(args: &DemoArgs, progress: &Progress) -> anyhow::Result<Verdict> {
     replay(&args, progress)
 }
 
-/// The recording that comes with the program.
+/// The recording that comes with the source.
 fn demo_session() -> anyhow::Result<PathBuf> {
     let place = Path::new("tests/data/demo");
     let places = [
@@ -344,6 +358,15 @@ pub(super) fn calibrations(
     Ok(calibration_folder(given, config))
 }
 
+/// Warns of the keys of a session's description that nobody reads, and returns what was said.
+pub(super) fn tell_unknown_keys(session: &Path) -> Vec<String> {
+    let unknown_keys = replay::unknown_keys(session);
+    for unknown in &unknown_keys {
+        tracing::warn!("{unknown}");
+    }
+    unknown_keys
+}
+
 /// The next frame of a recording that is not damaged; `None` at its end. Those that are damaged are counted.
 pub(super) fn next_frame(
     camera: &mut dyn DepthCamera,
@@ -360,14 +383,21 @@ pub(super) fn next_frame(
     }
 }
 
-/// The name of the session's folder.
+/// The name of the session's folder; that of the folder above where it is called as every recording of the program is.
 pub fn session_name(session: &Path) -> String {
     let absolute = session.canonicalize();
     let path = absolute.as_deref().unwrap_or(session);
     let name = path.file_name().unwrap_or(path.as_os_str());
+    let formats = [RecordFormat::Mcap, RecordFormat::Folder];
+    let says_nothing = formats.iter().any(|format| name == format.folder_name());
+    let above = path.parent().and_then(Path::file_name);
+    let name = above.filter(|_| says_nothing).unwrap_or(name);
     name.to_string_lossy().into_owned()
 }
 
 pub(super) fn all_processors() -> NonZeroUsize {
     thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }
+
+#[cfg(test)]
+mod tests;

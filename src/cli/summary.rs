@@ -2,6 +2,7 @@
 
 use super::stdout::Stdout;
 use relief::{
+    control::Stderr,
     export::{BaseMesh, FrameCounts, HeldOut, Remeshing, Report, StageTiming, Tracking},
     pipeline::{Ending, Outcome},
 };
@@ -163,7 +164,7 @@ fn print_outputs(outcome: &Outcome) -> io::Result<()> {
         writeln!(Stdout, "report:       {page}")?;
     }
     for failure in &outcome.failures {
-        eprintln!("error: {failure}");
+        writeln!(Stderr, "error: {failure}")?;
     }
     Ok(())
 }

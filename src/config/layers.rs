@@ -184,6 +184,10 @@ mod tests {
                 "given.toml:2: fusion.voxel_size: unknown field `voxel_size`",
             ),
             (
+                "[capture]\nrecord_depth_units_per_metre = 50000\n",
+                "given.toml:2: capture.record_depth_units_per_metre is 50000, must be at most 32767.5",
+            ),
+            (
                 "[fusion.icp]\niterations = \"many\"\n",
                 "given.toml:2: fusion.icp.iterations: invalid type: string \"many\"",
             ),

@@ -123,6 +123,7 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
     let ended = runtime.block_on(daemon.live(listener, access, abandoned));
     // Threads that wait for a slow disk are not waited for.
     runtime.shutdown_background();
+    // Where nothing could be drained; it has stopped otherwise.
     supervisor.worker.stop();
     ended
 }
@@ -241,7 +242,11 @@ impl Daemon {
     async fn drain(&mut self, app: &App, acceptor: &Acceptor, signals: &mut DaemonSignals) {
         self.manager.stopping(2 * DRAIN_NEWS);
         let supervisor = self.supervisor.clone();
-        let mut drained = task::spawn(async move { supervisor.drain().await });
+        let mut drained = task::spawn(async move {
+            supervisor.drain().await;
+            // The refinement may take its time to end.
+            task::spawn_blocking(move || supervisor.worker.stop()).await
+        });
         let mut looks = time::interval(LOOK);
         let mut news = time::interval(DRAIN_NEWS);
         loop {

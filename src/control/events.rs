@@ -1,9 +1,10 @@
 //! What happened, numbered: the newest events for whoever follows them.
 
+use crate::lock::lock;
 use serde::Serialize;
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard},
 };
 use tokio::sync::watch;
 
@@ -108,9 +109,8 @@ impl Events {
         self.newest.receiver_count() > 0
     }
 
-    fn kept(&self) -> std::sync::MutexGuard<'_, VecDeque<Event>> {
-        // Events are pushed whole: what a panic left behind is as good as any.
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    fn kept(&self) -> MutexGuard<'_, VecDeque<Event>> {
+        lock(&self.kept)
     }
 }
 

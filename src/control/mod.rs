@@ -30,6 +30,7 @@ mod operate;
 mod progress;
 mod progress_lines;
 mod signals;
+mod stderr;
 
 mod daemon;
 mod supervisor;
@@ -55,8 +56,10 @@ mod watchdog;
 pub use camera_source::CameraSource;
 pub use daemon::{DaemonError, DaemonSetup, run as run_daemon};
 pub use http::Wish;
+pub use listen::ListenError;
 pub use operate::{ControlError, operate, until_stopped};
 pub use progress::{Progress, ProgressStyle};
 pub use settings::SettingsPlaces;
 pub use signals::EXIT_INTERRUPTED;
+pub use stderr::Stderr;
 pub use token::TokenError;

@@ -158,12 +158,14 @@ impl Observer {
 impl ObservedScan {
     fn tell_events(&mut self, supervisor: &Supervisor) {
         for (number, event) in self.scan.watch.events().since(self.next_event) {
+            self.next_event = number + 1;
             let topic = match event.kind {
                 EventKind::Snapshot { .. } => Topic::Snapshot,
+                // It is told of once it is a session.
+                EventKind::Interim { .. } => continue,
                 _ => Topic::Loss,
             };
             supervisor.events.tell(topic, &*event);
-            self.next_event = number + 1;
         }
     }
 
@@ -182,19 +184,26 @@ impl ObservedScan {
         supervisor.events.tell(Topic::Device, &told);
     }
 
-    /// A scan that was written down on the way is refined while it goes on.
+    /// A scan that was written down on the way is refined while it goes on; tells under which name, or why not.
     fn refine_interim(&mut self, supervisor: &Arc<Supervisor>) {
         let newest = self.scan.watch.live().interim();
         let Some(interim) = newest.filter(|newest| newest.number > self.interim) else {
             return;
         };
         self.interim = interim.number;
-        let of = self.scan.record.clone();
-        let refined = interim::refine(supervisor.clone(), of, interim.folder.clone());
-        task::spawn(async move {
-            if let Err(error) = refined.await {
-                tracing::warn!(%error, "no refinement of what was scanned so far");
-            }
+        let (supervisor, of) = (supervisor.clone(), self.scan.record.clone());
+        task::spawn_blocking(move || {
+            let refined = interim::refine(&supervisor, &of, &interim.folder);
+            let told = match refined {
+                Ok(session) => {
+                    json!({ "event": "interim", "number": interim.number, "session": session })
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "no refinement of what was scanned so far");
+                    json!({ "event": "refused", "command": "refine", "reason": error.to_string() })
+                }
+            };
+            supervisor.events.tell(Topic::Loss, &told);
         });
     }
 

@@ -1,11 +1,14 @@
 //! How far a run is: a bar on a terminal, a line now and then elsewhere, or nothing.
 
-use super::progress_lines::ProgressLines;
-use crate::pipeline::{Improvement, Phase, State, Status, Work};
+use super::{progress_lines::ProgressLines, stderr::Stderr};
+use crate::{
+    lock::lock,
+    pipeline::{Improvement, Phase, State, Status, Work},
+};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::{
     io::{self, IsTerminal, Write},
-    sync::{Mutex, PoisonError},
+    sync::Mutex,
     time::{Duration, Instant},
 };
 
@@ -100,14 +103,14 @@ impl Progress {
     }
 
     fn print(&self, status: &Status) {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = lock(&self.last);
         let line = sentence(status);
         let is_due = match &*last {
             None => status.frames.handled() > 0,
             Some((when, text)) => when.elapsed() >= BETWEEN_LINES && *text != line,
         };
         if is_due {
-            eprintln!("{line}");
+            let _ = writeln!(Stderr, "{line}");
             *last = Some((Instant::now(), line));
         }
     }
@@ -119,11 +122,11 @@ pub struct LogWriter(ProgressBar);
 
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.suspend(|| io::stderr().write(bytes))
+        self.0.suspend(|| Stderr.write(bytes))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        io::stderr().flush()
+        Stderr.flush()
     }
 }
 

@@ -2,11 +2,12 @@
 
 use crate::{
     jobs::{JobProgress, ProgressLine},
+    lock::lock,
     pipeline::{Phase, Status},
 };
 use std::{
     io::{self, Write},
-    sync::{Mutex, PoisonError},
+    sync::Mutex,
     time::{Duration, Instant},
 };
 
@@ -33,7 +34,7 @@ impl ProgressLines {
         if status.phase != Phase::Refining {
             return;
         }
-        let mut clock = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut clock = lock(&self.0);
         let Some(progress) = clock.tell(status, Instant::now()) else {
             return;
         };

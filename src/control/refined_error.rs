@@ -1,7 +1,8 @@
 //! How well the newest refined mesh explains images that were held out, read from its report once, when its job is done.
 
 use super::{data_folder::SessionId, sessions, supervisor::Supervisor};
-use std::sync::{Arc, Mutex, PoisonError};
+use crate::lock::lock;
+use std::sync::{Arc, Mutex};
 use tokio::task;
 
 /// The error of the refined mesh of one job.
@@ -11,14 +12,13 @@ pub struct RefinedError(Mutex<Option<(String, f64)>>);
 impl RefinedError {
     /// The error of the intensity in the images held out, share of its mean, root mean square; `None` if it is not known.
     pub fn of_job(&self, job: &str) -> Option<f64> {
-        // Put whole: what a panic left behind is as good as any.
-        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lock(&self.0);
         let known = known.as_ref().filter(|(of, _)| of == job);
         known.map(|(_, rmse)| *rmse)
     }
 
     fn put(&self, job: String, rmse: f64) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some((job, rmse));
+        *lock(&self.0) = Some((job, rmse));
     }
 }
 

@@ -5,6 +5,9 @@ use super::{
     data_folder::{DataFolder, SessionId},
     scan_record::ScanRecord,
 };
+use crate::pipeline::{
+    BASE_PLY, EVENTS_FILE, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
+};
 use serde::Serialize;
 use serde_json::Value;
 use std::{
@@ -27,31 +30,31 @@ const PLY: &str = "application/octet-stream";
 /// All that clients may have of a scan.
 pub const FILES: [SessionFile; 7] = [
     SessionFile {
-        name: "base.ply",
+        name: BASE_PLY,
         media_type: PLY,
     },
     SessionFile {
-        name: "refined.ply",
+        name: REFINED_PLY,
         media_type: PLY,
     },
     SessionFile {
-        name: "refined.glb",
+        name: REFINED_GLB,
         media_type: "model/gltf-binary",
     },
     SessionFile {
-        name: "trajectory.txt",
+        name: TRAJECTORY,
         media_type: "text/plain; charset=utf-8",
     },
     SessionFile {
-        name: "report.html",
+        name: REPORT_HTML,
         media_type: "text/html; charset=utf-8",
     },
     SessionFile {
-        name: "report.json",
+        name: REPORT_JSON,
         media_type: "application/json",
     },
     SessionFile {
-        name: "events.jsonl",
+        name: EVENTS_FILE,
         media_type: "application/x-ndjson",
     },
 ];
@@ -134,7 +137,7 @@ pub fn read(
 
 /// A scan's report, once it is written.
 pub fn report(data: &DataFolder, id: &SessionId) -> Option<Value> {
-    let text = fs::read_to_string(data.session(id).join("report.json")).ok()?;
+    let text = fs::read_to_string(data.session(id).join(REPORT_JSON)).ok()?;
     serde_json::from_str(&text).ok()
 }
 

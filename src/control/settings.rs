@@ -5,13 +5,14 @@ use crate::{
     config::{self, CalibrationPlaces, Config, ConfigError, ControlParams, Overrides},
     devices::DeviceParams,
     jobs::WorkerParams,
+    lock::lock,
     pipeline::{PipelineParams, WhenFull},
 };
 use depth_camera::CameraInfo;
 use std::{
     num::NonZeroUsize,
     path::{Path, PathBuf},
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::{Mutex, MutexGuard},
 };
 
 /// Where the settings come from.
@@ -165,8 +166,7 @@ impl Settings {
     }
 
     fn current(&self) -> MutexGuard<'_, Current> {
-        // Settings are put whole: what a panic left behind is as good as any.
-        self.current.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.current)
     }
 }
 

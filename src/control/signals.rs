@@ -1,6 +1,9 @@
 //! SIGINT, SIGTERM and SIGHUP.
 
-use std::io;
+use std::{
+    fs, future,
+    io::{self, IsTerminal},
+};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Exit code of a run that was interrupted: 128 and the number of SIGINT, as shells have it.
@@ -20,6 +23,8 @@ pub enum Ask {
 pub struct Signals {
     interrupt: Signal,
     terminate: Signal,
+    /// Where SIGHUP asks to stop, too, as when the terminal is closed, and nothing has asked before.
+    hang_up: Option<Signal>,
 }
 
 impl Signals {
@@ -28,18 +33,31 @@ impl Signals {
     /// # Errors
     /// If the system refuses.
     pub fn new() -> io::Result<Self> {
+        let hang_up = match outlives_terminal() {
+            true => None,
+            false => Some(signal(SignalKind::hangup())?),
+        };
+        Self::with(hang_up)
+    }
+
+    fn with(hang_up: Option<Signal>) -> io::Result<Self> {
         Ok(Signals {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
+            hang_up,
         })
     }
 
     /// Waits for the next signal and names it.
     pub async fn next(&mut self) -> &'static str {
-        tokio::select! {
+        let name = tokio::select! {
             _ = self.interrupt.recv() => "SIGINT",
             _ = self.terminate.recv() => "SIGTERM",
-        }
+            () = received(&mut self.hang_up) => "SIGHUP",
+        };
+        // A terminal's end is told twice, by the shell and by the system: it is never the second signal, which exits at once.
+        self.hang_up = None;
+        name
     }
 }
 
@@ -47,7 +65,8 @@ impl Signals {
 #[derive(Debug)]
 pub struct DaemonSignals {
     stop: Signals,
-    hang_up: Signal,
+    /// SIGHUP, but for a daemon that ends with its terminal.
+    reload: Option<Signal>,
 }
 
 impl DaemonSignals {
@@ -56,9 +75,16 @@ impl DaemonSignals {
     /// # Errors
     /// If the system refuses.
     pub fn new() -> io::Result<Self> {
+        // A terminal that was closed is none any more: it is looked for now.
+        let ends_with_terminal = io::stderr().is_terminal() && !outlives_terminal();
+        let hang_up = Some(signal(SignalKind::hangup())?);
+        let (stop, reload) = match ends_with_terminal {
+            true => (hang_up, None),
+            false => (None, hang_up),
+        };
         Ok(DaemonSignals {
-            stop: Signals::new()?,
-            hang_up: signal(SignalKind::hangup())?,
+            stop: Signals::with(stop)?,
+            reload,
         })
     }
 
@@ -66,7 +92,7 @@ impl DaemonSignals {
     pub async fn next(&mut self) -> Ask {
         tokio::select! {
             name = self.stop.next() => Ask::Stop(name),
-            _ = self.hang_up.recv() => Ask::Reload,
+            () = received(&mut self.reload) => Ask::Reload,
         }
     }
 }
@@ -75,4 +101,40 @@ impl DaemonSignals {
 pub(super) fn exit_at_once(name: &str) -> ! {
     tracing::error!("{name} again: exiting at once");
     std::process::exit(EXIT_INTERRUPTED.into());
+}
+
+/// Waits for a signal, for ever without one.
+async fn received(signal: &mut Option<Signal>) {
+    match signal {
+        Some(signal) => _ = signal.recv().await,
+        None => future::pending().await,
+    }
+}
+
+/// Whether the program was started to go on when its terminal is closed, as by `nohup`. To be asked before SIGHUP is caught.
+fn outlives_terminal() -> bool {
+    fs::read_to_string("/proc/self/status").is_ok_and(|status| ignores_hang_up(&status))
+}
+
+/// Whether a process ignores SIGHUP, whose bit is the first, by its file of proc(5).
+fn ignores_hang_up(status: &str) -> bool {
+    let mask = status
+        .lines()
+        .find_map(|line| line.strip_prefix("SigIgn:"))
+        .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 1 == 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_process_tells_whether_it_is_to_outlive_its_terminal() {
+        // Rust ignores SIGPIPE, the thirteenth.
+        for (mask, ignores) in [("0000000000001000", false), ("0000000000001001", true)] {
+            let status = format!("SigBlk:\t0000000000000001\nSigIgn:\t{mask}\n");
+            assert_eq!(ignores_hang_up(&status), ignores, "{mask}");
+        }
+    }
 }

@@ -22,7 +22,7 @@ pub struct StatusBody {
     pub advice: Option<&'static str>,
     /// `idle`, `capturing`, `meshing`, `refining`, `exporting`.
     pub phase: &'static str,
-    /// What cannot be written, naming the file; it is tried again until there is room.
+    /// What cannot be written, naming the file, of the scan, else of the refinements; it is tried again until there is room.
     pub storage_error: Option<String>,
     /// What is done to the scan at its end, or while frames are taken back, and how far that is.
     pub improvement: Option<ImprovementBody>,
@@ -80,7 +80,7 @@ pub struct ScanBody {
 pub struct FramesBody {
     /// Frames that came or were announced.
     pub produced: u64,
-    /// Frames in the model.
+    /// Frames in the model, or that were in it before they were taken back.
     pub fused: u64,
     /// Frames whose pose was not found.
     pub lost: u64,
@@ -226,7 +226,7 @@ impl StatusBody {
                 true => status.phase.code(),
                 false => "idle",
             },
-            storage_error: status.unwritten.values().next().cloned(),
+            storage_error: storage_error(supervisor, &status),
             improvement: status.improvement.map(|improvement| ImprovementBody {
                 work: improvement.work.code(),
                 done: improvement.n_done,
@@ -263,6 +263,12 @@ impl StatusBody {
             },
         }
     }
+}
+
+/// What waits for the disk: of the scan, or else of the refinements.
+fn storage_error(supervisor: &Supervisor, status: &Status) -> Option<String> {
+    let of_scan = status.unwritten.values().next().cloned();
+    of_scan.or_else(|| supervisor.worker.status().refusal)
 }
 
 /// State, reason and advice.

@@ -84,6 +84,13 @@ pub struct Scan {
     wants_refinement: AtomicBool,
 }
 
+impl Scan {
+    /// Whether it is to be refined once it has ended.
+    fn wants_refinement(&self) -> bool {
+        self.wants_refinement.load(Ordering::Relaxed)
+    }
+}
+
 /// What the daemon is busy with.
 #[derive(Clone, Debug, Default)]
 enum Slot {
@@ -189,11 +196,16 @@ impl Supervisor {
     /// If there is none, or it makes no sense now.
     pub fn command(&self, command: Command) -> Result<(), CommandRefused> {
         let scan = self.scan().ok_or(CommandRefused::NotScanning)?;
-        scan.watch.command(command)?;
-        if command == Command::Abandon {
-            scan.wants_refinement.store(false, Ordering::Relaxed);
+        if command != Command::Abandon {
+            return scan.watch.command(command);
         }
-        Ok(())
+        // First, since the scan may end at once.
+        let before = scan.wants_refinement.swap(false, Ordering::Relaxed);
+        let commanded = scan.watch.command(command);
+        if commanded.is_err() {
+            scan.wants_refinement.store(before, Ordering::Relaxed);
+        }
+        commanded
     }
 
     /// Reads the configuration anew, for the scans and refinements that start from now on, and logs what came of it.

@@ -51,8 +51,10 @@ pub struct Report {
 pub struct FrameCounts {
     /// Frames that the device delivered, damaged ones too.
     pub total: u64,
-    /// Frames in the model.
+    /// Frames that were fused, those that were taken back later, too.
     pub fused: u64,
+    /// Frames in the model at the end.
+    pub in_model: u64,
     /// Frames during which tracking was lost.
     pub lost: u64,
     /// Frames that came damaged.
@@ -65,6 +67,8 @@ pub struct FrameCounts {
     pub paused: u64,
     /// Frames that none of the above accounts for: 0 unless the program is wrong.
     pub unaccounted: i64,
+    /// Frames, and infrared images that frames lack, which the driver had and let go: not among the total.
+    pub missed: u64,
 }
 
 /// What became of the camera's path.

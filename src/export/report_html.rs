@@ -134,8 +134,8 @@ fn page(report: &Report, pictures: &EncodedPictures) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::super::{
-        BaseMesh, Evidence, Iteration, LostSpan, RefinedMesh, RefinedView, Remeshing, StageTiming,
-        Tracking, page::assert_self_contained,
+        BaseMesh, Evidence, FrameCounts, Iteration, LostSpan, RefinedMesh, RefinedView, Remeshing,
+        StageTiming, Tracking, page::assert_self_contained,
     };
     use super::*;
 
@@ -263,5 +263,23 @@ mod tests {
         );
         assert!(!page.contains("id=\"refinement\""));
         assert_self_contained(&page);
+    }
+
+    #[test]
+    fn frames_that_were_taken_back_are_told_of() {
+        let said = |in_model| {
+            let report = Report {
+                frames: FrameCounts {
+                    total: 148,
+                    fused: 109,
+                    in_model,
+                    ..FrameCounts::default()
+                },
+                ..report()
+            };
+            written(&report, &ReportPictures::default())
+        };
+        assert!(said(23).contains("109 of 148 frames fused, 23 of them in the model: a surface"));
+        assert!(said(109).contains("109 of 148 frames fused: a surface"));
     }
 }

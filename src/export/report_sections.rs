@@ -1,7 +1,7 @@
 //! The sections of the report page, in the order in which they stand there.
 
 use super::{
-    Report,
+    FrameCounts, Report,
     page::figure,
     report_format::{area, change, count, duration, fixed, length, memory, percent},
     report_html::EncodedPictures,
@@ -37,15 +37,10 @@ pub(super) fn sensor_name(sensor: &str) -> &str {
 }
 
 fn summary(report: &Report) -> String {
-    let frames = &report.frames;
-    let capture = format!(
-        "{} of {} frames fused",
-        count(frames.fused),
-        count(frames.total)
-    );
+    let capture = fused(&report.frames);
     match &report.refined_mesh {
         None => format!(
-            "{capture} into a surface of {} faces and {}.",
+            "{capture}: a surface of {} faces and {}.",
             count(report.base_mesh.faces),
             area(report.base_mesh.area_m2)
         ),
@@ -58,6 +53,19 @@ fn summary(report: &Report) -> String {
             percent(refined.rmse_after),
             change(refined.rmse_before, refined.rmse_after)
         ),
+    }
+}
+
+/// How many frames were fused, and how many of them count where some were taken back.
+fn fused(frames: &FrameCounts) -> String {
+    let fused = format!(
+        "{} of {} frames fused",
+        count(frames.fused),
+        count(frames.total)
+    );
+    match frames.in_model == frames.fused {
+        true => fused,
+        false => format!("{fused}, {} of them in the model", count(frames.in_model)),
     }
 }
 
@@ -187,11 +195,13 @@ pub(super) fn capture(report: &Report) -> Markup {
     let rows = [
         ("Total", f.total),
         ("Fused", f.fused),
+        ("In the model", f.in_model),
         ("Tracking lost", f.lost),
         ("Damaged", f.damaged),
         ("Dropped", f.dropped),
         ("Without depth", f.without_depth),
         ("Paused", f.paused),
+        ("Missed by the driver", f.missed),
     ];
     let spans = &report.tracking.lost_spans;
     html! {

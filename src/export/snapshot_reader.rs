@@ -2,7 +2,7 @@
 
 use super::{
     ExportError, read_trajectory,
-    snapshots::{DEPTH_UNITS_PER_METRE, FILES, UNLIT, folder_name},
+    snapshots::{DEPTH_UNITS_PER_METRE, FILES, SNAPSHOTS, UNLIT, folder_name},
 };
 use crate::geometry::Pose;
 use depth_camera::Image;
@@ -47,7 +47,7 @@ pub struct StoredSnapshots {
 /// [`ExportError::Read`] or [`ExportError::Malformed`] for a file that cannot be read or is not what it should be, and for an
 /// unfinished folder if there is no other.
 pub fn read_snapshots(dir: &Path) -> Result<StoredSnapshots, ExportError> {
-    let folders = begun_snapshots(&dir.join("snapshots"))?;
+    let folders = begun_snapshots(&dir.join(SNAPSHOTS))?;
     let (whole, unfinished): (Vec<_>, Vec<_>) =
         folders.into_iter().partition(|folder| is_whole(folder));
     if let ([], [first, ..]) = (whole.as_slice(), unfinished.as_slice()) {

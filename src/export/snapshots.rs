@@ -35,6 +35,8 @@ pub struct SnapshotRecord<'a> {
     pub device_time_secs: f64,
 }
 
+/// The folder of the snapshots in a scan's folder.
+pub const SNAPSHOTS: &str = "snapshots";
 /// The files of a snapshot, `meta.json` being the last: where it stands the snapshot is whole.
 pub(super) const FILES: [&str; 5] = ["ir.png", "mask.png", "depth.png", "pose.txt", "meta.json"];
 /// Beside them where ambient light was measured.
@@ -68,7 +70,7 @@ impl<'a> SnapshotExport<'a> {
     /// Of records into `dir/snapshots`; writes nothing yet.
     pub fn new(dir: &Path, records: &'a [SnapshotRecord<'a>]) -> Self {
         SnapshotExport {
-            root: dir.join("snapshots"),
+            root: dir.join(SNAPSHOTS),
             records,
             is_written: records.iter().map(|_| AtomicBool::new(false)).collect(),
         }
@@ -106,7 +108,7 @@ impl<'a> SnapshotExport<'a> {
 /// # Errors
 /// [`ExportError::Write`] if a file cannot be written.
 pub fn write_masks(dir: &Path, masks: &[Image<u8>]) -> Result<(), ExportError> {
-    let root = dir.join("snapshots");
+    let root = dir.join(SNAPSHOTS);
     let masks = masks.par_iter().with_max_len(1).enumerate();
     masks.try_for_each(|(index, mask)| write_mask(&root.join(folder_name(index)), mask))
 }

@@ -23,6 +23,8 @@ const MAX_LINE_BYTES: u64 = 1 << 20;
 const MAX_SAID_CHARS: usize = 400;
 /// Exit code of a child whose arguments or configuration make no sense, and will not another time.
 const EXIT_BAD_USAGE: i32 = 2;
+/// Exit code of a child of which nothing failed but that the disk did not take its outputs, and may another time.
+const EXIT_NO_ROOM: i32 = 5;
 
 /// A line of `relief refine --progress-json`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
@@ -68,6 +70,8 @@ pub enum AttemptEnd {
     Refused(String),
     /// It was told to end.
     Told,
+    /// The disk did not take its outputs, and may later, for this reason.
+    NoRoom(String),
     /// It failed.
     Failed {
         /// Why.
@@ -275,11 +279,12 @@ fn for_each_line(pipe: impl Read, mut take: impl FnMut(&str)) {
 
 /// What the child's end means.
 fn verdict(status: ExitStatus, summary: Option<Summary>, last_words: &str) -> AttemptEnd {
-    let failed = |what: String, may_repeat| AttemptEnd::Failed {
-        reason: match last_words {
-            "" => what,
-            said => format!("{what}: {said}"),
-        },
+    let with_words = |what: String| match last_words {
+        "" => what,
+        said => format!("{what}: {said}"),
+    };
+    let failed = |what, may_repeat| AttemptEnd::Failed {
+        reason: with_words(what),
         may_repeat,
     };
     match (status.code(), status.signal(), summary) {
@@ -291,6 +296,9 @@ fn verdict(status: ExitStatus, summary: Option<Summary>, last_words: &str) -> At
         ),
         (Some(0), _, None) => failed("it ended without a summary".to_owned(), true),
         (Some(EXIT_BAD_USAGE), ..) => failed("bad usage or configuration".to_owned(), false),
+        (Some(EXIT_NO_ROOM), ..) => {
+            AttemptEnd::NoRoom(with_words("its outputs found no room".to_owned()))
+        }
         (Some(code), ..) => failed(format!("exit code {code}"), true),
         (None, Some(signal), _) => failed(format!("killed by signal {}", name_of(signal)), true),
         (None, None, _) => failed(format!("it ended with {status}"), true),

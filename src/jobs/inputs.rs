@@ -1,7 +1,7 @@
 //! What a refinement is made from, and the name that follows from it.
 
 use super::{JobError, JobId, spool};
-use crate::pipeline::{BASE_PLY, CALIBRATION, SCENE_PLY, TRAJECTORY};
+use crate::pipeline::{BASE_PLY, CALIBRATION, SCENE_PLY, SNAPSHOTS, TRAJECTORY};
 use sha2::{Digest, Sha256};
 use std::{
     fs::{self, File},
@@ -9,8 +9,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The folder of the shading images in a scan's folder.
-const SNAPSHOTS: &str = "snapshots";
 /// The version that jobs asked of this program are named by.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Files are read in pieces of so many bytes.

@@ -6,7 +6,8 @@
 //! is whole do refined mesh and report go into the scan's folder, one rename each. Base mesh, poses and shading images are
 //! read, never written.
 //!
-//! A child that crashes, is killed, or hangs and is ended for it, is repeated, [`WorkerParams::max_retries`] times at most, and the reasons are kept. A newer job
+//! A child that crashes, is killed, or hangs and is ended for it, is repeated, [`WorkerParams::max_retries`] times at most, and the
+//! reasons are kept; one whose outputs find no room on the disk is repeated until they do. A newer job
 //! takes the place of one of the same scan that still waits; one that runs is let be, and its result is dropped if the scan has
 //! changed meanwhile. What ran when the daemon ended runs again when it is back, whichever version of the program that is; such ends
 //! are counted by themselves.

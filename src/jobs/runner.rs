@@ -1,7 +1,7 @@
 //! The worker's thread: takes jobs from the spool, one after the other, and brings each to an end.
 
 use super::{
-    JobError, JobState,
+    Job, JobError, JobState,
     child::{self, Attempt, AttemptEnd},
     inputs::job_id,
     landing::land,
@@ -22,10 +22,14 @@ impl Shared {
         while self.bell.wait() {
             let worked = self.work_off();
             self.refresh();
-            if let Err(error) = worked {
-                tracing::error!("refinement waits: {error}");
-                self.bell.rest(AFTER_REFUSAL);
-                self.bell.ring();
+            match worked {
+                Ok(()) => self.tell_refusal(None),
+                Err(error) => {
+                    tracing::error!("refinement waits: {error}");
+                    self.tell_refusal(Some(error.to_string()));
+                    self.bell.rest(AFTER_REFUSAL);
+                    self.bell.ring();
+                }
             }
         }
     }
@@ -42,6 +46,9 @@ impl Shared {
                 return Ok(());
             };
             *lock(&self.progress) = None;
+            if lock(&self.board).lacks_room.as_ref() != Some(&record.id) {
+                self.tell_refusal(None);
+            }
             self.refresh();
             self.run(&record)?;
             self.refresh();
@@ -76,6 +83,10 @@ impl Shared {
             self.clear(record)?;
         }
         let spool = || lock(&self.spool);
+        if !matches!(ended, AttemptEnd::NoRoom(_)) && lock(&self.board).lacks_room.take().is_some()
+        {
+            self.tell_refusal(None);
+        }
         match ended {
             AttemptEnd::Refined => self.take_in(record),
             AttemptEnd::Refused(reason) => {
@@ -84,6 +95,21 @@ impl Shared {
             }
             // Either somebody has ended the job, or it goes on when the daemon is back.
             AttemptEnd::Told => spool().put_back(&record.id),
+            AttemptEnd::NoRoom(reason) => {
+                spool().put_back(&record.id)?;
+                self.refresh();
+                let waits = |job: &Job| job.id == record.id && job.state == JobState::Waiting;
+                if !lock(&self.board).jobs.iter().any(waits) {
+                    // Somebody has cancelled it meanwhile.
+                    return Ok(());
+                }
+                lock(&self.board).lacks_room = Some(record.id.clone());
+                let told = format!("the refinement of {} waits: {reason}", record.scan);
+                tracing::error!(job = %record.id, "{told}");
+                self.tell_refusal(Some(told));
+                self.bell.rest(AFTER_REFUSAL);
+                Ok(())
+            }
             AttemptEnd::Failed { reason, may_repeat } => {
                 tracing::warn!(job = %record.id, attempt = number, reason, "refinement failed");
                 spool().fail(&record.id, reason, may_repeat)
@@ -134,11 +160,20 @@ impl Shared {
             match begun {
                 Err(error @ JobError::Io { .. }) if !self.bell.is_stopped() => {
                     tracing::error!(job = %record.id, "the refined mesh waits: {error}");
+                    self.tell_refusal(Some(error.to_string()));
                     self.bell.rest(AFTER_REFUSAL);
                 }
-                begun => return begun,
+                begun => {
+                    self.tell_refusal(None);
+                    return begun;
+                }
             }
         }
+    }
+
+    /// Tells why the worker waits for the disk, or with `None` that it does not any more.
+    fn tell_refusal(&self, refusal: Option<String>) {
+        lock(&self.board).refusal = refusal;
     }
 
     fn deliver(&self, record: &Record) -> Result<(), JobError> {

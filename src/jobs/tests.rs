@@ -386,11 +386,57 @@ fn a_job_that_the_disk_keeps_from_beginning_begins_when_it_lets_it() {
     let refusal = bench.refusal(&job_id(&bench.scan, "x = 1", VERSION).unwrap());
     fs::create_dir(&refusal).unwrap();
     let job = worker.submit(&bench.scan).unwrap();
-    poll("the refusal", || worker.status().running);
+    poll("the refusal", || worker.status().refusal);
+    // It was claimed, and nothing is at work on it.
+    let status = worker.status();
+    assert_eq!((status.running, status.n_waiting), (None, 1));
     assert_eq!(bench.n_runs(), 0);
     fs::remove_dir(&refusal).unwrap();
     let ended = end_of(&worker, &job.id);
     assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    assert_eq!(worker.status(), WorkerStatus::default());
+    worker.stop();
+}
+
+#[test]
+fn a_child_whose_outputs_find_no_room_costs_no_attempt() {
+    let bench = Workbench::new(&format!(
+        "if [ $(wc -l < $here/runs) = 1 ]; then echo no space left >&2; exit 5; fi\n{REFINE}"
+    ));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let refusal = poll("the refusal", || worker.status().refusal);
+    assert!(refusal.ends_with(": no space left"), "{refusal}");
+    assert_eq!(worker.status().n_waiting, 1);
+    let ended = end_of(&worker, &job.id);
+    assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    assert_eq!(bench.n_runs(), 2);
+    worker.stop();
+}
+
+#[test]
+fn a_scan_is_worked_on_until_its_last_child_has_ended() {
+    let bench = Workbench::new(
+        "trap '' TERM\necho up > $here/up\nwhile [ ! -e $here/go ]; do sleep 0.02; done",
+    );
+    let worker = bench.worker_with(WorkerParams {
+        grace_secs: 600.0,
+        ..WorkerParams::default()
+    });
+    let running = worker.submit(&bench.scan).unwrap();
+    poll("the child", || bench.path("up").exists().then_some(()));
+    worker.set_settings("x = 2");
+    let newer = worker.submit(&bench.scan).unwrap();
+    worker.cancel(&newer.id).unwrap();
+    assert_eq!(worker.of_scan("a").unwrap().state, JobState::Cancelled);
+    assert_eq!(worker.at_work_on("a").unwrap().id, running.id);
+    // What it is told is not what it has done.
+    worker.cancel(&running.id).unwrap();
+    assert_eq!(worker.at_work_on("a").unwrap().id, running.id);
+    fs::write(bench.path("go"), "").unwrap();
+    poll("the end of the child", || {
+        worker.at_work_on("a").is_none().then_some(())
+    });
     worker.stop();
 }
 

@@ -36,6 +36,8 @@ pub struct WorkerStatus {
     pub running: Option<Job>,
     /// How many wait.
     pub n_waiting: usize,
+    /// Why the worker waits for the disk, naming the file; it tries again every few seconds. `None` where it does not wait.
+    pub refusal: Option<String>,
 }
 
 /// The worker.
@@ -87,6 +89,7 @@ impl WorkerHandle {
         WorkerStatus {
             n_waiting: n_waiting.count(),
             running: jobs.into_iter().find(|job| job.state == JobState::Running),
+            refusal: lock(&self.shared.board).refusal.clone(),
         }
     }
 
@@ -112,6 +115,16 @@ impl WorkerHandle {
         Ok(())
     }
 
+    /// Ends a job that waits; one that has begun goes on.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn cancel_waiting(&self, id: &JobId) -> Result<(), JobError> {
+        let cancelled = lock(&self.shared.spool).cancel_waiting(id);
+        self.shared.refresh();
+        cancelled
+    }
+
     /// All jobs, the newest first; returns at once.
     pub fn list(&self) -> Vec<Job> {
         let mut jobs = lock(&self.shared.board).jobs.clone();
@@ -125,6 +138,15 @@ impl WorkerHandle {
     /// The newest job of a scan.
     pub fn of_scan(&self, scan: &str) -> Option<Job> {
         self.list().into_iter().find(|job| job.scan == scan)
+    }
+
+    /// A job by which the scan's folder is still read or written: one that has not ended, or whose child is only about to end.
+    pub fn at_work_on(&self, scan: &str) -> Option<Job> {
+        let board = lock(&self.shared.board);
+        let is_at_work = |job: &&Job| {
+            job.scan == scan && (!job.state.is_ended() || board.held.contains(&job.id))
+        };
+        board.jobs.iter().find(is_at_work).cloned()
     }
 
     /// From now on jobs are made with these settings.
@@ -164,9 +186,15 @@ pub(super) struct Shared {
 #[derive(Default)]
 pub(super) struct Board {
     pub jobs: Vec<Job>,
+    /// Those that lie among the running, whatever their state: a child may be at work on them.
+    pub held: Vec<JobId>,
     pub settings: Arc<str>,
     /// The running job that is to end.
     pub cancelled: Option<JobId>,
+    /// Why the worker waits for the disk.
+    pub refusal: Option<String>,
+    /// The job whose child found no room: until it gets through the refusal is told.
+    pub lacks_room: Option<JobId>,
 }
 
 impl Shared {
@@ -200,7 +228,10 @@ impl Shared {
         match spool.list() {
             Ok(records) => {
                 let jobs = records.iter().map(|(place, record)| record.job(*place));
-                lock(&self.board).jobs = jobs.collect();
+                let held = records.iter().filter(|(place, _)| *place == Place::Running);
+                let mut board = lock(&self.board);
+                board.jobs = jobs.collect();
+                board.held = held.map(|(_, record)| record.id.clone()).collect();
             }
             Err(error) => tracing::error!("the spool cannot be read: {error}"),
         }

@@ -1,8 +1,9 @@
 //! What the operator asks of a scan that goes on, and why it may be refused.
 
 use super::status::{Phase, Status};
+use crate::lock::lock;
 use crossbeam::channel::{Sender, TrySendError};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What the operator asks of a running pipeline.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +25,8 @@ pub enum Command {
     Reset,
     /// Ends capture; base mesh, shading images and report are written, and refinement runs if it was asked for.
     Finish,
-    /// Ends capture and all refinement; base mesh, shading images and report are still written, if the disk has room now.
+    /// Ends capture, all that improves the scan at its end, and all refinement; base mesh, shading images and report are still
+    /// written, if the disk has room now. Taken while the scan ends, too.
     Abandon,
 }
 
@@ -34,9 +36,12 @@ const MAX_UNDO_SECS: f64 = 3600.0;
 /// Why a command was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CommandRefused {
-    /// Capture has ended, or never began.
+    /// Nothing is captured.
     #[error("no scan is going on")]
     NotScanning,
+    /// Capture has ended, or is to.
+    #[error("the scan is ending; it can only be abandoned")]
+    Ending,
     /// It is paused.
     #[error("the scan is paused already")]
     AlreadyPaused,
@@ -71,6 +76,7 @@ impl CommandRefused {
     pub fn code(&self) -> &'static str {
         match self {
             CommandRefused::NotScanning => "not_scanning",
+            CommandRefused::Ending => "ending",
             CommandRefused::AlreadyPaused => "already_paused",
             CommandRefused::NotPaused => "not_paused",
             CommandRefused::Paused => "paused",
@@ -109,23 +115,31 @@ impl CommandDesk {
 
     /// Takes a command, or says why not; never blocks.
     pub fn ask(&self, command: Command, status: &Status) -> Result<(), CommandRefused> {
-        // Two flags: what a panic left behind is as good as any.
-        let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut asked = lock(&self.asked);
+        if asked.is_ending || status.phase != Phase::Capturing {
+            return while_ending(command);
+        }
         let next = asked.after(command, status)?;
         match self.channel.try_send(command) {
             Ok(()) => *asked = next,
             Err(TrySendError::Full(_)) => return Err(CommandRefused::Busy),
-            Err(TrySendError::Disconnected(_)) => return Err(CommandRefused::NotScanning),
+            Err(TrySendError::Disconnected(_)) => return while_ending(command),
         }
         Ok(())
     }
 }
 
+/// Who obeys commands may be gone, or busy with the end for as long as the scan took: what is left to ask for needs nobody.
+fn while_ending(command: Command) -> Result<(), CommandRefused> {
+    match command {
+        Command::Abandon => Ok(()),
+        _ => Err(CommandRefused::Ending),
+    }
+}
+
 impl Asked {
+    /// What the commands of a scan that is captured amount to after one more.
     fn after(self, command: Command, status: &Status) -> Result<Self, CommandRefused> {
-        if self.is_ending || status.phase != Phase::Capturing {
-            return Err(CommandRefused::NotScanning);
-        }
         let has_fused = status.n_in_model > 0;
         let refused = match command {
             Command::Pause if self.is_paused => Some(CommandRefused::AlreadyPaused),
@@ -156,5 +170,50 @@ impl Asked {
                 is_ending: matches!(command, Command::Finish | Command::Abandon),
             }),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{edges, handle::Watch};
+
+    #[test]
+    fn a_scan_that_is_ending_can_be_abandoned_in_every_phase_and_nothing_else() {
+        for phase in [
+            Phase::Capturing,
+            Phase::Meshing,
+            Phase::Refining,
+            Phase::Exporting,
+        ] {
+            // Nobody takes commands out, as while loops are closed.
+            let (channel, _commands) = edges::commands();
+            let watch = Watch {
+                desk: Some(CommandDesk::new(channel)),
+                ..Watch::default()
+            };
+            watch.command(Command::Finish).unwrap();
+            watch.status.update(|status| status.phase = phase);
+            for refused in [Command::Pause, Command::Refine, Command::Finish] {
+                assert_eq!(watch.command(refused), Err(CommandRefused::Ending));
+            }
+            assert!(watch.end.is_stopped() && !watch.stop.is_stopped());
+            // It may be asked for again: it is as it was.
+            for _ in 0..2 {
+                watch.command(Command::Abandon).unwrap();
+            }
+            assert!(watch.stop.is_stopped(), "{phase:?}");
+        }
+    }
+
+    #[test]
+    fn a_scan_whose_fusion_is_gone_can_be_abandoned() {
+        let (channel, commands) = edges::commands();
+        drop(commands);
+        let desk = CommandDesk::new(channel);
+        let status = Status::default();
+        assert_eq!(desk.ask(Command::Abandon, &status), Ok(()));
+        let refused = desk.ask(Command::Finish, &status);
+        assert_eq!(refused, Err(CommandRefused::Ending));
     }
 }

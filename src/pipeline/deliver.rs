@@ -6,11 +6,12 @@ use super::{
 use crate::{
     capture::RecorderSummary,
     export::{
-        ExportError, Report, ReportPictures, SnapshotExport, SnapshotRecord, VertexAttributes,
-        write_atomically, write_glb, write_masks, write_ply, write_report_html, write_report_json,
-        write_trajectory,
+        ExportError, Report, ReportPictures, SNAPSHOTS, SnapshotExport, SnapshotRecord,
+        VertexAttributes, write_atomically, write_glb, write_masks, write_ply, write_report_html,
+        write_report_json, write_trajectory,
     },
     geometry::{Pose, TriMesh},
+    lock::lock,
     refine::Refinement,
     shading::Calibration,
     snapshot::ShadingSnapshot,
@@ -20,7 +21,7 @@ use rayon::prelude::*;
 use std::{
     io::Write,
     path::{Path, PathBuf},
-    sync::{Mutex, PoisonError},
+    sync::Mutex,
 };
 
 /// The base mesh's file.
@@ -33,7 +34,6 @@ pub const REFINED_PLY: &str = "refined.ply";
 pub const REFINED_GLB: &str = "refined.glb";
 /// The poses of all fused frames.
 pub const TRAJECTORY: &str = "trajectory.txt";
-const SNAPSHOTS: &str = "snapshots";
 /// The calibration that the scan was made with.
 pub const CALIBRATION: &str = Calibration::FILE_NAME;
 /// The report as a page.
@@ -59,6 +59,10 @@ pub struct Account {
     pub outputs: Vec<PathBuf>,
     /// What could not be written, in sentences for the operator.
     pub failures: Vec<String>,
+    /// How many of these the disk may take later: it was full, read-only or away.
+    pub n_passing: usize,
+    /// What the operator should know although nothing is lost, in sentences.
+    pub warnings: Vec<String>,
 }
 
 impl Outbox {
@@ -171,6 +175,7 @@ impl Outbox {
         self.with_account(|account| {
             account.outputs.extend_from_slice(&summary.outputs);
             account.failures.extend_from_slice(&summary.failures);
+            account.warnings.extend_from_slice(&summary.warnings);
         });
     }
 
@@ -220,13 +225,17 @@ impl Outbox {
                     }
                 });
             }
-            Err(error) => self.fail(error.to_string()),
+            Err(error) => {
+                if error.is_passing() {
+                    self.with_account(|account| account.n_passing += 1);
+                }
+                self.fail(error.to_string());
+            }
         }
     }
 
     fn with_account<T>(&self, f: impl FnOnce(&mut Account) -> T) -> T {
-        // Entries are pushed whole: an account that a panic left behind is as good as any.
-        f(&mut self.account.lock().unwrap_or_else(PoisonError::into_inner))
+        f(&mut lock(&self.account))
     }
 }
 
@@ -238,4 +247,25 @@ fn counts(image: &Image<f32>) -> Image<u16> {
 /// Where a snapshot has depth to go with it.
 fn depth_mask(snapshot: &ShadingSnapshot) -> Image<u8> {
     snapshot.depth_m.map(|&z| if z > 0.0 { 255 } else { 0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::{fs, os::unix::fs::symlink};
+
+    #[test]
+    fn what_the_disk_may_take_later_is_counted_among_what_could_not_be_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let partial = folder.path().join(".trajectory.txt.partial");
+        let outbox = Outbox::inside(folder.path());
+        let write = || outbox.trajectory(&[(0.0, Pose::identity())]);
+        symlink("/dev/full", &partial).unwrap();
+        write();
+        // The failure has taken the link away.
+        fs::create_dir(&partial).unwrap();
+        write();
+        let account = outbox.account();
+        assert_eq!((account.failures.len(), account.n_passing), (2, 1));
+    }
 }

@@ -1,9 +1,9 @@
 //! The newest events of a run, numbered, for whoever follows them while it goes on.
 
-use crate::capture::Event;
+use crate::{capture::Event, lock::lock};
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
 };
 
 /// Events beyond these are forgotten here; `events.jsonl` has them all.
@@ -42,8 +42,7 @@ impl EventLog {
     }
 
     fn with<T>(&self, f: impl FnOnce(&mut Inner) -> T) -> T {
-        // Events are pushed whole: a log that a panic left behind is as good as any.
-        f(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        f(&mut lock(&self.0))
     }
 }
 

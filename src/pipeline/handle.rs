@@ -75,12 +75,7 @@ impl Watch {
     /// If the command makes no sense now, or too many are waiting.
     pub fn command(&self, command: Command) -> Result<(), CommandRefused> {
         let desk = self.desk.as_ref().ok_or(CommandRefused::NotScanning)?;
-        let status = self.status();
-        if command == Command::Abandon && status.waits_for_room() {
-            self.stop();
-            return Ok(());
-        }
-        desk.ask(command, &status)?;
+        desk.ask(command, &self.status())?;
         match command {
             Command::Finish => self.end.stop(),
             Command::Abandon => self.stop(),
@@ -127,6 +122,15 @@ pub struct Outcome {
     pub report: Report,
     /// What went wrong, in sentences for the operator; empty after a good run.
     pub failures: Vec<String>,
+    /// How many of these the disk may take later: it was full, read-only or away.
+    pub n_passing: usize,
+}
+
+impl Outcome {
+    /// Whether the run may go well another time, when the disk takes what it refused: nothing else went wrong.
+    pub fn only_lacks_room(&self) -> bool {
+        !self.failures.is_empty() && self.n_passing == self.failures.len()
+    }
 }
 
 impl Handle {
@@ -154,6 +158,7 @@ impl Handle {
             n_frames: 0,
             n_damaged: 0,
             n_timeouts: 0,
+            n_missed: 0,
             first_damage: None,
             end: CaptureEnd::Unwanted,
         });
@@ -208,12 +213,14 @@ fn conclude(
         outbox.report(&mut report, &pictures);
     }
     drop(folder);
+    let account = outbox.account();
     Outcome {
         ending: match endings.stopped_early {
             true => Ending::Stopped,
             false => Ending::Complete,
         },
-        failures: outbox.account().failures,
+        failures: account.failures,
+        n_passing: account.n_passing,
         report,
     }
 }

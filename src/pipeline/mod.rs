@@ -46,7 +46,8 @@ mod threads;
 mod timing;
 
 pub use crate::{
-    capture::{DeviceHealth, Event, EventKind},
+    capture::{DeviceHealth, EVENTS_FILE, Event, EventKind},
+    export::SNAPSHOTS,
     fusion::{Improvement, Work},
     snapshot::SequenceStep,
 };
@@ -404,7 +405,7 @@ pub fn infrared_optics(
         return None;
     };
     Some(InfraredOptics {
-        light: calibration.light.near_light(&light),
+        light: calibration.light.near_light(light.position_m),
         calibration: calibration.clone(),
         full_scale,
     })

@@ -45,8 +45,18 @@ impl OutputFolder {
     /// Takes hold of a folder, which is created if it is missing and must be empty otherwise.
     ///
     /// # Errors
-    /// If another run holds it, it holds something, or the system refuses.
+    /// If another run holds it, it holds something, or the system refuses; a folder that was created is then removed again.
     pub fn claim(path: &Path) -> Result<Self, OutputFolderError> {
+        let is_missing = !path.exists();
+        let claimed = Self::claim_or_create(path);
+        if claimed.is_err() && is_missing {
+            // It is empty, or somebody else's by now.
+            let _ = fs::remove_dir(path);
+        }
+        claimed
+    }
+
+    fn claim_or_create(path: &Path) -> Result<Self, OutputFolderError> {
         let io_error = |source| OutputFolderError::Io {
             folder: path.to_owned(),
             source,
@@ -107,19 +117,23 @@ impl Drop for OutputFolder {
 fn create_lock(folder: &Path) -> Result<(), OutputFolderError> {
     let lock = folder.join(LOCK_NAME);
     let created = OpenOptions::new().write(true).create_new(true).open(&lock);
-    match created.and_then(|mut file| writeln!(file, "process {}", std::process::id())) {
-        Ok(()) => Ok(()),
+    let written = match created {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-            Err(OutputFolderError::InUse {
+            return Err(OutputFolderError::InUse {
                 folder: folder.to_owned(),
                 lock,
-            })
+            });
         }
-        Err(source) => Err(OutputFolderError::Io {
-            folder: folder.to_owned(),
-            source,
+        Err(error) => Err(error),
+        Ok(mut file) => writeln!(file, "process {}", std::process::id()).inspect_err(|_| {
+            // Ours, and nobody's without its line.
+            let _ = fs::remove_file(&lock);
         }),
-    }
+    };
+    written.map_err(|source| OutputFolderError::Io {
+        folder: folder.to_owned(),
+        source,
+    })
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use crate::{
     },
     geometry::TriMesh,
     refine::Refinement,
+    robust::quantile,
     snapshot::ShadingSnapshot,
 };
 use depth_camera::Image;
@@ -124,9 +125,7 @@ fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {
 
 /// The value that no more than [`BRIGHT_SHARE`] of all exceed; `None` of none.
 fn high_level(mut values: Vec<f64>) -> Option<f64> {
-    let index = (values.len() as f64 * (1.0 - BRIGHT_SHARE)) as usize;
-    let is_there = index < values.len();
-    is_there.then(|| *values.select_nth_unstable_by(index, f64::total_cmp).1)
+    quantile(&mut values, 1.0 - BRIGHT_SHARE)
 }
 
 /// Near is bright, no measurement black.

@@ -7,7 +7,8 @@ use super::{
 };
 use crate::{
     export::{
-        ExportError, StoredSnapshot, StoredSnapshots, read_ply, read_snapshots, read_trajectory,
+        ExportError, SNAPSHOTS, StoredSnapshot, StoredSnapshots, read_ply, read_snapshots,
+        read_trajectory,
     },
     geometry::{CameraModel, RayGrid, TriMesh},
     refine::{Optics, surface_of_view},
@@ -125,7 +126,7 @@ fn left_out(unfinished: &[PathBuf]) -> Option<String> {
     let names: Vec<&str> = names.collect();
     (!names.is_empty()).then(|| {
         format!(
-            "shading images that were not written to their end are left out: snapshots/{}",
+            "shading images that were not written to their end are left out: {SNAPSHOTS}/{}",
             names.join(", ")
         )
     })

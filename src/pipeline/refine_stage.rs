@@ -16,10 +16,13 @@ use crate::{
 use crossbeam::channel::Receiver;
 use depth_camera::CameraInfo;
 use rayon::ThreadPool;
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
 /// Why a run that was not asked to refine has no refined mesh; its shading images are kept for one that is.
 const SWITCHED_OFF: &str = "refinement was switched off";
+
+/// Why images cannot be understood.
+const NO_OPTICS: &str = "the session does not say where its light is, or what full scale is";
 
 /// What the refinement thread needs to know.
 pub struct RefineSetup {
@@ -60,6 +63,13 @@ pub struct RefineSummary {
     pub timings: Vec<StageTiming>,
 }
 
+/// What a refinement that is wanted has to go by.
+#[derive(Clone, Copy)]
+struct Wanted<'a> {
+    params: &'a RefineParams,
+    snapshots: &'a [ShadingSnapshot],
+}
+
 /// Waits for the scan, exports its base mesh, refines and exports the rest.
 pub fn run(
     setup: &RefineSetup,
@@ -83,62 +93,37 @@ pub fn run(
         }
     }
     let images = shading_images(setup, &scan);
-    let will_refine = images.is_ok() && setup.refine.is_some() && !setup.stop.is_stopped();
+    let is_missing = summary.object.is_none() && wanted(setup, &images).is_ok();
+    let object = summary.object.as_ref();
     // The base mesh first, then the shading images: whatever becomes of the object, they are there.
-    let base = summary.object.as_ref().unwrap_or(&scan.base);
     let deliver = || {
         export_clock.time(|| {
-            let is_changed = summary.object.is_some() || setup.object.watertight;
-            if is_changed && setup.keeps_scene {
-                outbox.scene_mesh(&scan.base);
-            }
-            let base_mesh = deliver_base(setup, base, outbox);
+            let base_mesh = deliver_fused(setup, &scan, object, outbox);
             if let Ok(snapshots) = &images {
                 outbox.snapshots(snapshots, &setup.info);
             }
             base_mesh
         })
     };
-    let find_if_wanted = || (will_refine && summary.object.is_none()).then(find);
-    let (base_mesh, found) = setup.pool.join(deliver, find_if_wanted);
+    let (base_mesh, found) = setup.pool.join(deliver, || is_missing.then(find));
     summary.base_mesh = Some(base_mesh);
-    let refined = images.and_then(|snapshots| {
-        if setup.refine.is_none() {
-            return Err(SWITCHED_OFF.to_owned());
-        }
-        if setup.stop.is_stopped() {
-            return Err("the run was stopped before refinement began".to_owned());
-        }
+    // Asked anew: somebody may have stopped the run meanwhile.
+    let refined = wanted(setup, &images).and_then(|wanted| {
         if let Some(found) = found {
             summary.object = Some(found?);
         }
         let object = summary.object.as_ref();
         let object = object.expect("looked for where refinement is wanted");
         setup.status.update(|status| status.phase = Phase::Refining);
-        refine_clock.time(|| {
-            setup
-                .pool
-                .install(|| run_refine(setup, &scan, object, snapshots))
-        })
+        let refine = || run_refine(setup, wanted, &scan, object);
+        refine_clock.time(|| setup.pool.install(refine))
     });
     setup
         .status
         .update(|status| status.phase = Phase::Exporting);
     match refined {
         Ok(mut refinement) => {
-            if setup.object.watertight {
-                close(&mut refinement);
-            }
-            tracing::info!(
-                faces = refinement.mesh.faces.len(),
-                status = ?refinement.status,
-                steps = refinement.iterations.len(),
-                remeshing_hausdorff_m = refinement.remeshing.hausdorff_m(),
-                "surface refined"
-            );
-            let mesh = || outbox.refined_mesh(&refinement);
-            let masks = || outbox.masks(&refinement.masks);
-            export_clock.time(|| setup.pool.join(mesh, masks));
+            export_clock.time(|| deliver_refined(setup, &mut refinement, outbox));
             summary.refinement = Some(refinement);
         }
         Err(reason) => {
@@ -154,6 +139,19 @@ pub fn run(
         .filter_map(StageClock::timing)
         .collect();
     summary
+}
+
+/// What there is to refine by, or why there is to be no refinement.
+fn wanted<'a>(
+    setup: &'a RefineSetup,
+    images: &Result<&'a [ShadingSnapshot], String>,
+) -> Result<Wanted<'a>, String> {
+    let snapshots = images.clone()?;
+    let params = setup.refine.as_ref().ok_or(SWITCHED_OFF)?;
+    match setup.stop.is_stopped() {
+        true => Err("the run was stopped before refinement began".to_owned()),
+        false => Ok(Wanted { params, snapshots }),
+    }
 }
 
 /// The shading images to refine from, or why there are none.
@@ -174,16 +172,7 @@ fn shading_images<'a>(
 
 /// The reasons of the rejections, the most frequent first.
 fn why_none_accepted(selection: &SnapshotSelection) -> String {
-    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    for rejection in &selection.rejected {
-        *counts.entry(rejection.reason.to_string()).or_default() += 1;
-    }
-    let mut counts: Vec<_> = counts.into_iter().collect();
-    counts.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
-    let reasons: Vec<String> = counts
-        .iter()
-        .map(|(reason, n)| format!("{n} times: {reason}"))
-        .collect();
+    let reasons = selection.reasons();
     match reasons.is_empty() {
         true => "no frame could serve as a shading image".to_owned(),
         false => format!(
@@ -191,6 +180,38 @@ fn why_none_accepted(selection: &SnapshotSelection) -> String {
             reasons.join("; ")
         ),
     }
+}
+
+/// Writes the base mesh, which is the object where that is delivered, and then what was fused beside it.
+fn deliver_fused(
+    setup: &RefineSetup,
+    scan: &FusedScan,
+    object: Option<&TriMesh>,
+    outbox: &Outbox,
+) -> BaseMesh {
+    let is_changed = object.is_some() || setup.object.watertight;
+    if is_changed && setup.keeps_scene {
+        outbox.scene_mesh(&scan.base);
+    }
+    deliver_base(setup, object.unwrap_or(&scan.base), outbox)
+}
+
+/// Writes a refined mesh, its holes filled if that is asked for, and what of the images it was made from.
+fn deliver_refined(setup: &RefineSetup, refinement: &mut Refinement, outbox: &Outbox) {
+    if setup.object.watertight {
+        close(refinement);
+    }
+    tracing::info!(
+        faces = refinement.mesh.faces.len(),
+        status = ?refinement.status,
+        steps = refinement.iterations.len(),
+        remeshing_hausdorff_m = refinement.remeshing.hausdorff_m(),
+        "surface refined"
+    );
+    let refinement: &Refinement = refinement;
+    let mesh = || outbox.refined_mesh(refinement);
+    let masks = || outbox.masks(&refinement.masks);
+    setup.pool.join(mesh, masks);
 }
 
 /// Writes the base mesh, its holes filled if that is asked for; returns what was written.
@@ -238,15 +259,13 @@ fn object_of(setup: &RefineSetup, scan: &FusedScan) -> Result<TriMesh, String> {
 
 fn run_refine(
     setup: &RefineSetup,
+    wanted: Wanted,
     scan: &FusedScan,
     object: &TriMesh,
-    snapshots: &[ShadingSnapshot],
 ) -> Result<Refinement, String> {
+    let Wanted { params, snapshots } = wanted;
     let rays = RayGrid::new(CameraModel::new(setup.info.intrinsics));
-    let optics = Optics::of(&setup.info, &rays, &setup.calibration);
-    let (Some(params), Some(optics)) = (&setup.refine, optics) else {
-        return Err(SWITCHED_OFF.to_owned());
-    };
+    let optics = Optics::of(&setup.info, &rays, &setup.calibration).ok_or(NO_OPTICS)?;
     let mut first_energy = None;
     setup
         .status

@@ -111,9 +111,11 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
 /// What became of the frames: every frame that the device delivered is counted once.
 pub fn frame_counts(endings: &Endings) -> FrameCounts {
     let frames = endings.frames;
+    let scan = endings.fusion.scan.as_ref();
     FrameCounts {
         total: frames.produced,
         fused: frames.fused,
+        in_model: scan.map_or(0, |scan| scan.world_from_cameras.len() as u64),
         lost: frames.lost,
         damaged: frames.damaged,
         dropped: frames.dropped,
@@ -121,6 +123,7 @@ pub fn frame_counts(endings: &Endings) -> FrameCounts {
         paused: frames.paused,
         // Nobody holds a frame any more: one that is still on its way is one that nobody accounts for.
         unaccounted: frames.unaccounted() + frames.in_flight as i64,
+        missed: endings.capture.n_missed,
     }
 }
 
@@ -152,7 +155,8 @@ fn one_for_all(materials: &[Material], spread: f64) -> Option<String> {
         .fold(0.0, f64::max);
     (largest >= SWALLOWED && spread > MAX_SPREAD).then(|| {
         format!(
-            "one albedo was taken for {:.0} % of the surface, whose own albedos spread by {:.0} % about it: more materials than              could be told apart; their borders may stand out as relief",
+            "one albedo was taken for {:.0} % of the surface, whose own albedos spread by {:.0} % about it: more materials than \
+             could be told apart; their borders may stand out as relief",
             100.0 * largest,
             100.0 * spread
         )
@@ -178,6 +182,12 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
             capture.n_damaged
         ));
     }
+    if capture.n_missed > 0 {
+        warnings.push(format!(
+            "{} frames or infrared images were missed by the driver, beside those that came: this machine or its USB bus was too busy, or the cable is bad",
+            capture.n_missed
+        ));
+    }
     let unrecorded = endings.drops.recorded_frames.load(Ordering::Relaxed);
     let without_ir = endings.drops.recorded_ir.load(Ordering::Relaxed);
     if unrecorded + without_ir > 0 {
@@ -201,6 +211,7 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
     warnings.extend(unimproved.map(|reason| format!("base.ply is not improved: {reason}")));
     let whole = endings.refined.not_cropped_reason.as_ref();
     warnings.extend(whole.map(|reason| format!("base.ply is of the whole scene: {reason}")));
+    warnings.extend_from_slice(&account.warnings);
     warnings.extend_from_slice(&account.failures);
     warnings
 }
@@ -327,7 +338,7 @@ mod tests {
         };
         let told = one_for_all(&[0.01, 0.99].map(material), 0.4).unwrap();
         assert!(
-            told.contains("99 % of the surface") && told.contains("spread by 40 %"),
+            told.contains("99 % of the surface") && told.contains("materials than could be told"),
             "{told}"
         );
         assert_eq!(one_for_all(&[1.0].map(material), 0.1), None);

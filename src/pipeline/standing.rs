@@ -18,9 +18,11 @@ pub struct Circumstances {
 /// The state to tell, the gravest first: what stops the scan, what makes it useless, what could be better.
 pub fn standing(of_frames: State, around: Circumstances, status: &Status) -> State {
     let recording = &status.recording;
-    let is_disk_low = recording
+    let has_little_room = recording
         .disk_free_bytes
         .is_some_and(|free| free < recording.disk_floor_bytes);
+    // A recording that ended for want of room is not begun again, whatever room there is by now.
+    let has_ended_in_order = recording.reason.is_some() && !recording.has_failed;
     match (status.device, of_frames) {
         _ if status.has_fault => State::Fault(Fault::Program),
         (DeviceHealth::Gone, _) => State::Fault(Fault::DeviceGone),
@@ -33,7 +35,9 @@ pub fn standing(of_frames: State, around: Circumstances, status: &Status) -> Sta
             State::Fault(Fault::StorageFailed)
         }
         _ if around.is_snapshotting => State::Snapshotting,
-        _ if is_disk_low => State::Degraded(Degradation::DiskLow),
+        // That the disk is low may hold for the rest of the scan: what the operator mends by the camera comes first.
+        (_, State::Degraded(_)) => of_frames,
+        _ if has_little_room || has_ended_in_order => State::Degraded(Degradation::DiskLow),
         _ => of_frames,
     }
 }
@@ -63,6 +67,14 @@ mod tests {
             },
             ..Status::default()
         };
+        let ended = Status {
+            recording: RecordingStatus {
+                disk_free_bytes: Some(3),
+                reason: Some("recording stops below 2 bytes".to_owned()),
+                ..full.recording.clone()
+            },
+            ..Status::default()
+        };
         let gone = Status {
             device: DeviceHealth::Gone,
             ..full.clone()
@@ -70,7 +82,7 @@ mod tests {
         let broken = Status {
             recording: RecordingStatus {
                 has_failed: true,
-                ..RecordingStatus::default()
+                ..ended.recording.clone()
             },
             ..Status::default()
         };
@@ -81,9 +93,12 @@ mod tests {
         let lost = State::Lost(Loss::TooFast);
         let covered = State::Lost(Loss::CoveredLens);
         let low = State::Degraded(Degradation::DiskLow);
+        let fast = State::Degraded(Degradation::TooFast);
         for (of_frames, around, status, expected) in [
             (State::Tracking, calm, &fine, State::Tracking),
             (State::Tracking, calm, &full, low),
+            (State::Tracking, calm, &ended, low),
+            (fast, calm, &ended, fast),
             (lost, calm, &full, lost),
             (
                 State::Tracking,

@@ -7,12 +7,13 @@ use super::{
 use crate::{
     capture::{DeviceHealth, EVENTS_FILE},
     fusion::Improvement,
+    lock::lock,
     snapshot::{Guidance, SequenceStep},
 };
 use std::{
     collections::BTreeMap,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
 };
@@ -195,14 +196,12 @@ pub struct StatusSlot(Arc<Mutex<Status>>);
 impl StatusSlot {
     /// The newest status.
     pub fn get(&self) -> Status {
-        // A status is a plain value: one that a panic left behind is as good as any.
-        let status = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        status.clone()
+        lock(&self.0).clone()
     }
 
     /// Changes the status.
     pub fn update(&self, change: impl FnOnce(&mut Status)) {
-        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut lock(&self.0));
     }
 }
 

@@ -6,13 +6,14 @@
 
 use crate::{
     capture::ShadingStrategy,
+    lock::lock,
     snapshot::{SnapshotParams, Texture, texture},
 };
 use depth_camera::{CameraError, CameraInfo, DepthCamera, Frame, Image, Sensor};
 use std::{
     fmt,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
     time::Duration,
@@ -106,10 +107,7 @@ impl ShadingRequest {
 
     /// How the newest request ended; told once.
     pub fn take_outcome(&self) -> Option<ShadingOutcome> {
-        self.newest
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take()
+        lock(&self.newest).take()
     }
 
     fn answer(&self, outcome: ShadingOutcome) {
@@ -119,8 +117,7 @@ impl ShadingRequest {
             }
             ShadingOutcome::Refused(refusal) => tracing::warn!("no shading image: {refusal}"),
         }
-        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
-        *newest = Some(outcome);
+        *lock(&self.newest) = Some(outcome);
     }
 }
 
@@ -196,6 +193,10 @@ impl DepthCamera for StopDepthCamera {
             self.end(outcome);
         }
         grabbed
+    }
+
+    fn n_missed(&self) -> u64 {
+        self.camera.n_missed()
     }
 
     fn pause_depth(&mut self) -> Result<(), CameraError> {

@@ -133,7 +133,7 @@ fn a_session_without_depth_in_range_fails_with_its_counts() {
     assert_says(
         &output,
         1,
-        &["no frame of session could be fused: 3 frames, of which 0 damaged, 3 without depth"],
+        &["could be fused: 3 frames, of which 0 damaged, 3 without depth"],
     );
     assert_eq!(summary(&output)["status"], "failed");
 }
@@ -177,6 +177,26 @@ fn a_file_that_does_not_fit_is_named_and_leaves_nothing_behind() {
         assert!(!out.join(name).exists(), "{name}");
     }
     assert!(out.join("trajectory.txt").is_file());
+}
+
+#[test]
+fn a_lock_that_does_not_fit_leaves_neither_itself_nor_the_folder() {
+    let bench = Workbench::with_frames(1);
+    let out = bench.path("out");
+    let replay = || {
+        let script = format!(
+            "trap '' XFSZ; ulimit -f 0; exec {PROGRAM} replay {} --out {} --no-refine",
+            bench.session().display(),
+            out.display()
+        );
+        Command::new("sh").args(["-c", &script]).output().unwrap()
+    };
+    assert_says(&replay(), 1, &["cannot use output folder", "os error 27"]);
+    assert!(!out.exists());
+    // One that was there stays.
+    fs::create_dir(&out).unwrap();
+    assert_says(&replay(), 1, &["cannot use output folder"]);
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 0);
 }
 
 #[test]
@@ -243,4 +263,19 @@ fn what_cannot_be_printed_is_told_but_not_that_nobody_reads_it() {
     let unread = unread.unwrap();
     assert_eq!(unread.status.code(), Some(0));
     assert_eq!(String::from_utf8_lossy(&unread.stderr), "");
+}
+
+#[test]
+fn what_cannot_be_said_on_standard_error_ends_no_run() {
+    let bench = Workbench::with_frames(2);
+    let script = format!(
+        "exec {PROGRAM} replay {} --out {} --no-refine 2>/dev/full",
+        bench.session().display(),
+        bench.path("out").display()
+    );
+    let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let failed = format!("exec {PROGRAM} replay nowhere --out out 2>/dev/full");
+    let output = Command::new("sh").args(["-c", &failed]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
 }

@@ -171,6 +171,20 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
     let elsewhere = root.path().join("elsewhere");
     let walls_only = calibrate("response", &[&wall], &elsewhere);
     assert_says(&walls_only, 1, &["no session shows a sphere"]);
+    let a_ball_is_expected = Command::new(PROGRAM)
+        .args(["calibrate", "light", "--radius", "0.08", "--dry-run"])
+        .arg(&wall)
+        .output()
+        .unwrap();
+    let shares = [
+        "wall: a plane holds",
+        "the best sphere shows 0 % of its front",
+    ];
+    assert_says(
+        &a_ball_is_expected,
+        1,
+        &["whose radius is given", shares[0], shares[1]],
+    );
     let spheres_only = calibrate("flat-field", &[&sphere], &elsewhere);
     assert_says(&spheres_only, 1, &["no session shows a plain wall"]);
 }

@@ -141,6 +141,7 @@ fn a_disk_that_is_full_when_a_scan_ends_is_waited_for() {
     let daemon = Daemon::start(&[]);
     let client = daemon.client;
     let id = daemon.scan();
+    daemon.await_surface();
     let scan = daemon.bench.path("data/sessions").join(&id);
     // The first write finds no room; its end takes the link away.
     for name in [".base.ply.partial", ".scan.json.partial"] {
@@ -153,6 +154,13 @@ fn a_disk_that_is_full_when_a_scan_ends_is_waited_for() {
     let error = status["storage_error"].as_str().unwrap();
     assert!(error.contains("base.ply"), "{error}");
     assert_eq!(status["state"], "fault");
+    // A daemon that is killed before the end is written down leaves a scan that is refined all the same.
+    daemon.await_status("the refusal of the end", |status| {
+        let error = status["storage_error"].as_str();
+        error.is_some_and(|error| error.contains("scan.json"))
+    });
+    let jobs = client.get("/api/v1/jobs").json();
+    assert_eq!(jobs[0]["scan"], id);
     let status = daemon.await_state("idle");
     assert!(status["storage_error"].is_null());
     let session = client.get(&format!("/api/v1/sessions/{id}")).json();
@@ -282,6 +290,15 @@ fn what_makes_no_sense_is_refused_with_a_code() {
     client
         .get("/api/v1/sessions/..")
         .assert_problem(404, "not_found");
+    for address in [
+        "/assets/%FF",
+        "/api/v1/sessions/%FF",
+        "/api/v1/sessions/%FF/mesh",
+        "/api/v1/meshes/%FF",
+        "/api/v1/scan/snapshots/%FF",
+    ] {
+        client.get(address).assert_problem(404, "not_found");
+    }
     client
         .get("/api/v1/jobs/1/cancel")
         .assert_problem(405, "method_not_allowed");
@@ -468,6 +485,11 @@ fn a_daemon_that_cannot_start_says_why() {
     assert_eq!(daemon.client.status()["state"], "idle");
 
     let bench = Workbench::with_frames(1);
+    // Somebody else's, for now.
+    let address = daemon.client.0.to_string();
+    let (code, said) = refused(&bench, &["--listen", &address]);
+    assert_eq!(code, Some(70), "{said}");
+    assert!(said.contains("cannot listen on"), "{said}");
     let config = bench.write("bad.toml", "[fusion]\nvoxel_size_m = 0\n");
     let (code, said) = refused(&bench, &["--config", config.to_str().unwrap()]);
     assert_eq!(code, Some(3), "{said}");

@@ -79,6 +79,14 @@ impl Daemon {
         self.await_status(state, |status| status["state"] == state)
     }
 
+    /// Waits for a scan that can be refined: a shading image, and frames enough for a surface.
+    pub fn await_surface(&self) -> Value {
+        self.await_status("a surface with a shading image", |status| {
+            let (accepted, frames) = (&status["snapshots"]["accepted"], &status["frames"]);
+            accepted.as_u64() > Some(0) && frames["fused"].as_u64() > Some(10)
+        })
+    }
+
     /// Sends a signal.
     pub fn signal(&self, signal: &str) {
         let pid = self.child.id().to_string();

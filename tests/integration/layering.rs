@@ -6,24 +6,29 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// What each module may import of its own crate. `pipeline`, and the program itself, may know all.
+/// What each module may import of its own crate. The program itself may know all.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("atomic_file", &[]),
     ("geometry", &[]),
     ("lock", &[]),
+    ("robust", &[]),
     ("shading", &["geometry"]),
     ("capture", &["geometry"]),
     ("fusion", &["geometry", "shading"]),
-    ("interreflection", &["geometry", "shading"]),
+    ("interreflection", &["robust", "geometry", "shading"]),
     (
         "multipath",
-        &["geometry", "shading", "interreflection", "fusion"],
+        &["robust", "geometry", "shading", "interreflection", "fusion"],
     ),
-    ("snapshot", &["geometry", "shading", "fusion"]),
-    ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
+    ("snapshot", &["robust", "geometry", "shading", "fusion"]),
+    (
+        "calibrate",
+        &["robust", "geometry", "shading", "fusion", "snapshot"],
+    ),
     (
         "refine",
         &[
+            "robust",
             "geometry",
             "shading",
             "interreflection",
@@ -32,9 +37,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("export", &["geometry", "shading", "atomic_file"]),
-    ("calibrate", &["geometry", "shading", "fusion", "snapshot"]),
     ("devices", &[]),
-    ("evaluate", &["geometry", "shading"]),
+    ("evaluate", &["robust", "geometry", "shading"]),
     ("jobs", &["atomic_file", "lock", "pipeline"]),
     (
         "config",
@@ -53,7 +57,9 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "pipeline",
         &[
+            "robust",
             "geometry",
+            "lock",
             "shading",
             "interreflection",
             "capture",

@@ -15,7 +15,14 @@ use relief::{
     shading::Calibration,
     snapshot::SnapshotParams,
 };
-use std::{fs, num::NonZeroUsize, path::Path, time::Duration};
+use std::{
+    ffi::OsStr,
+    fs,
+    num::NonZeroUsize,
+    os::unix::ffi::OsStrExt,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 /// A device that stops delivering for twice as long stalls, seconds: the test that has no device stall gives it time.
 const PATIENT_SECS: f64 = 1.0;
@@ -68,7 +75,7 @@ impl Scan {
             ..simulated.info().clone()
         };
         let camera = Box::new(FedCamera { info, answers });
-        let folder = OutputFolder::claim(&root.path().join("scan")).unwrap();
+        let folder = OutputFolder::claim(&scan_folder(root.path())).unwrap();
         let handle = Pipeline::spawn(camera, params(grab_timeout_secs), folder).unwrap();
         Scan {
             root,
@@ -79,8 +86,8 @@ impl Scan {
         }
     }
 
-    fn folder(&self) -> std::path::PathBuf {
-        self.root.path().join("scan")
+    fn folder(&self) -> PathBuf {
+        scan_folder(self.root.path())
     }
 
     fn answer(&self, answer: Answer) {
@@ -122,6 +129,11 @@ impl Scan {
             is_so(&status).then_some(status)
         })
     }
+}
+
+/// A folder whose name is no UTF-8: that is no matter to a scan.
+fn scan_folder(root: &Path) -> PathBuf {
+    root.join(OsStr::from_bytes(b"scan-\xff"))
 }
 
 fn params(grab_timeout_secs: f64) -> PipelineParams {
@@ -198,11 +210,10 @@ fn a_scan_is_paused_undone_written_down_begun_anew_and_finished() {
     let written = scan.ask(Command::Refine, |kind| {
         matches!(kind, EventKind::Interim { .. } | EventKind::Refused { .. })
     });
-    let EventKind::Interim { folder } = written else {
-        panic!("written down: {written:?}");
-    };
-    assert_eq!(watch.live().interim().unwrap().folder, folder);
-    let interim = RecordedScan::read(&folder).unwrap();
+    assert_eq!(written, EventKind::Interim { number: 1 });
+    let interim = watch.live().interim().unwrap();
+    assert_eq!(interim.number, 1);
+    let interim = RecordedScan::read(&interim.folder).unwrap();
     assert_eq!(interim.scan.world_from_cameras.len(), 11);
     assert!(!interim.scan.snapshots.unwrap().accepted.is_empty());
 
@@ -214,16 +225,14 @@ fn a_scan_is_paused_undone_written_down_begun_anew_and_finished() {
     let status = scan.feed(3);
     assert_eq!(status.frames.fused, 16);
     watch.command(Command::Finish).unwrap();
-    assert_eq!(
-        watch.command(Command::Pause),
-        Err(CommandRefused::NotScanning)
-    );
+    assert_eq!(watch.command(Command::Pause), Err(CommandRefused::Ending));
 
     let folder = scan.folder();
     let outcome = scan.handle.join();
     assert_eq!(outcome.failures, Vec::<String>::new());
     let frames = outcome.report.frames;
     assert_eq!((frames.total, frames.fused, frames.paused), (18, 16, 2));
+    assert_eq!(frames.in_model, 3, "the others were taken back");
     assert_eq!(frames.unaccounted, 0);
     assert_eq!(n_poses(&folder), 3, "since the scan was begun anew");
     assert!(outcome.report.base_mesh.faces > 0);

@@ -51,6 +51,32 @@ fn a_session_without_a_whole_frame_leaves_nothing() {
 }
 
 #[test]
+fn what_is_damaged_is_left_out_and_told_of() {
+    let bench = Workbench::with_frames(3);
+    bench.edit("session.toml", "[light]", "[light]\ncolour = 850");
+    fs::remove_file(bench.session().join("depth/00001.png")).unwrap();
+    for command in ["import", "export"] {
+        let out = bench.path(command);
+        let output = session(&[
+            command,
+            text(&bench.session()),
+            "--out",
+            text(&out),
+            "--json",
+        ]);
+        let said = ["1 of 3 frames are damaged", "light.colour"];
+        assert_says(&output, 1, &said);
+        let converted = summary(&output);
+        assert_eq!(
+            (&converted["frames"], &converted["damaged"]),
+            (&2.into(), &1.into())
+        );
+        // What there is can be played.
+        base_mesh(&out, &bench.path(&format!("{command}ed")));
+    }
+}
+
+#[test]
 fn the_demo_as_a_recording_gives_the_same_mesh_to_the_byte() {
     let root = tempfile::tempdir().unwrap();
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");

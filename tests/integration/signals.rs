@@ -1,6 +1,10 @@
 //! A signal ends a run in order.
 
-use crate::support::{PROGRAM, Workbench, poll, prolong};
+use crate::{
+    daemon_process::Daemon,
+    support::{PROGRAM, Workbench, poll, prolong},
+    worker::child_of,
+};
 use serde_json::Value;
 use std::{
     fs,
@@ -8,8 +12,9 @@ use std::{
 };
 
 fn start(bench: &Workbench) -> Child {
-    Command::new(PROGRAM)
-        .arg("replay")
+    // As from a terminal, also where the tests outlive theirs.
+    Command::new("env")
+        .args(["--default-signal=HUP", PROGRAM, "replay"])
         .arg(bench.session())
         .arg("--out")
         .arg(bench.path("out"))
@@ -22,7 +27,8 @@ fn start(bench: &Workbench) -> Child {
 
 #[test]
 fn a_run_that_is_told_to_stop_keeps_what_it_has() {
-    for signal in ["-TERM", "-INT"] {
+    // A terminal that is closed is told of twice.
+    for signals in [&["-TERM"][..], &["-INT"], &["-HUP", "-HUP"]] {
         let bench = Workbench::with_frames(1);
         prolong(&bench.session());
         let mut child = start(&bench);
@@ -32,11 +38,13 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
             events.contains("snapshot").then_some(())
         });
         let pid = child.id().to_string();
-        let killed = Command::new("kill").args([signal, &pid]).status().unwrap();
-        assert!(killed.success());
+        for signal in signals {
+            let killed = Command::new("kill").args([*signal, &pid]).status().unwrap();
+            assert!(killed.success());
+        }
         let status = poll("the end", || child.try_wait().unwrap());
 
-        assert_eq!(status.code(), Some(130), "{signal}");
+        assert_eq!(status.code(), Some(130), "{signals:?}");
         for name in ["base.ply", "trajectory.txt", "report.html"] {
             assert!(out.join(name).is_file(), "{name}");
         }
@@ -63,4 +71,30 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
         assert_eq!(accounted, count("total"));
         assert_eq!(frames["unaccounted"], 0);
     }
+}
+
+#[test]
+fn a_second_signal_ends_a_daemon_whose_refinement_takes_its_time() {
+    let bench = Workbench::with_frames(1);
+    prolong(&bench.session());
+    // Longer than is waited for here, and work enough for the child to be met.
+    let config = "[worker]\ngrace_secs = 600.0\n[refine]\nedge_length_m = 0.0005\n";
+    let config = bench.write("relief.toml", config);
+    let daemon = Daemon::start_in(bench, &["--config", config.to_str().unwrap()]);
+    let id = daemon.scan();
+    daemon.await_surface();
+    assert_eq!(daemon.client.post("/api/v1/scan/finish", "").status, 202);
+    let scan = daemon.bench.path("data/sessions").join(id);
+    let child = poll("the refinement", || child_of(&scan));
+    let child = child.file_name().unwrap();
+    let send = |signal: &str| Command::new("kill").arg(signal).arg(child).status();
+    assert!(send("-STOP").unwrap().success());
+    daemon.await_state("idle");
+    daemon.signal("-TERM");
+    daemon.await_state("draining");
+    daemon.signal("-TERM");
+    let (_bench, status) = daemon.wait();
+    // One that was stopped before it had bound itself to the daemon is still there.
+    let _ = send("-KILL");
+    assert_eq!(status.code(), Some(130));
 }

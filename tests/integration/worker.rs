@@ -51,7 +51,7 @@ fn worker(data_dir: &Path, params: WorkerParams) -> WorkerHandle {
 }
 
 /// The process that refines a scan.
-fn child_of(scan: &Path) -> Option<PathBuf> {
+pub fn child_of(scan: &Path) -> Option<PathBuf> {
     let scan = scan.to_str().unwrap();
     let mut processes = fs::read_dir("/proc").unwrap().filter_map(Result::ok);
     processes.find_map(|process| {

@@ -286,6 +286,8 @@ test('goes by the last good scan, and tells of one that failed', { timeout: 300_
     await state(page, 'paused');
     await press('reset');
     await press('confirm-yes');
+    const words = page.getByTestId('refinement-words');
+    await words.and(page.getByText('has no shading image yet')).waitFor();
     await press('stop');
     const toast = page.locator('[data-testid=toast][data-code=scan_failed]');
     await toast.waitFor({ timeout: 60_000 });
@@ -334,6 +336,12 @@ test('goes on where something cannot be written', { timeout: 60_000, skip: NEEDS
   await state(page, 'paused');
   await page.getByTestId('resume').click();
   await state(page, 'fault');
+  // Its files wait for room.
+  await page.getByTestId('stop').click();
+  await page.getByTestId('abandon').click();
+  await Promise.all([page.waitForRequest(/scan\/abandon$/), page.getByTestId('confirm-yes').click()]);
+  await state(page, 'idle');
+  assert.ok(await page.getByTestId('abandon').isHidden());
 });
 
 test('has every button in reach at any width', { timeout: 120_000 }, async (t) => {
@@ -454,8 +462,11 @@ test('says when the daemon is gone, and comes back with it', { timeout: 60_000, 
   const second = await standIn({ port: first.port });
   second.daemon.sessions.push({ id, label: null, interim_of: null, started_unix_ms: started, ended_unix_ms: null, state: 'interrupted', failures: [], files: [] });
   await banner.waitFor({ state: 'hidden', timeout: 30_000 });
-  await page.locator('[data-testid=toast][data-code=scan_interrupted]').getByText(id).waitFor();
+  const interrupted = '[data-testid=toast][data-code=scan_interrupted]';
+  await page.locator(interrupted).getByText(id).waitFor();
   assert.ok(await page.getByTestId('start').isEnabled());
+  const { page: later } = await openPage(t, browser, second.base);
+  await later.locator(interrupted).waitFor();
   await second.close();
 });
 

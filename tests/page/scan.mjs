@@ -101,7 +101,7 @@ export class StandInDaemon {
   tick(secs) {
     const scan = this.#scan;
     if (scan && scan.drainUntil) {
-      if (Date.now() > scan.drainUntil) this.#finish();
+      if (Date.now() > scan.drainUntil && !this.hasStorageFailed) this.#finish();
     } else if (scan) {
       const frames = secs * FRAMES_PER_SEC;
       if (scan.isPaused) scan.pausedFrames += frames;
@@ -184,7 +184,7 @@ export class StandInDaemon {
   get state() {
     const scan = this.#scan;
     if (!scan) return 'idle';
-    if (scan.drainUntil) return 'draining';
+    if (scan.drainUntil) return this.hasStorageFailed ? 'fault' : 'draining';
     if (scan.isPaused) return 'paused';
     if (scan.secs < 0.6) return 'warming';
     if (scan.secs > LOSS.relocalising && scan.secs < LOSS.found) return 'relocalising';

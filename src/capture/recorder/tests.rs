@@ -153,7 +153,11 @@ fn a_disk_that_fills_up_stops_the_recording_and_is_told_of() {
     recorder.frame(&next());
     recorder.tracked(Tracked::Event(event(1, EventKind::Found)));
     let summary = recorder.finish();
-    assert_eq!((summary.n_recorded, summary.failures.len()), (1, 1));
+    assert_eq!((summary.n_recorded, summary.failures.len()), (1, 0));
+    assert!(
+        summary.warnings[0].contains("recording stops below"),
+        "{summary:?}"
+    );
     let lines = fs::read_to_string(folder.path().join("events.jsonl")).unwrap();
     assert_eq!(lines.lines().count(), 2, "{lines}");
 }

@@ -1,12 +1,16 @@
 //! `relief session export` and `import`: recordings as folders of images, and back.
 
 use super::ConvertArgs;
-use crate::cli::{run::Verdict, stdout::Stdout};
+use crate::cli::{
+    run::{Verdict, tell_unknown_keys},
+    stdout::Stdout,
+};
 use anyhow::{Context, ensure};
 use depth_camera::{CameraError, DepthCamera, Frame};
 use mcap_session::{RecordingParams, SegmentWriter, open_session};
 use relief::{
     config::{self, Config, Overrides},
+    control::Stderr,
     devices::{Recording, open_recording},
     shading::Calibration,
 };
@@ -59,8 +63,9 @@ pub fn import(args: &ConvertArgs) -> anyhow::Result<Verdict> {
 fn open(session: &Path) -> anyhow::Result<(Box<dyn DepthCamera>, f64)> {
     let pacing = Pacing::AsFastAsPossible;
     if Recording::of_folder(session) == Recording::Session {
-        let session = open_session(session, pacing)?;
-        return Ok((session.camera, session.depth_scale.units_per_metre));
+        let opened = open_session(session, pacing)?;
+        tell_unknown_keys(session);
+        return Ok((opened.camera, opened.depth_scale.units_per_metre));
     }
     let config = Config::layered(None, &Overrides::default())?;
     let camera = open_recording(session, &config.devices, pacing)?;
@@ -113,7 +118,7 @@ impl Frames {
     }
 }
 
-/// Takes the calibration along, and says what became of the frames.
+/// Takes the calibration along, and says what became of the frames: where some are missing it has failed.
 fn conclude(args: &ConvertArgs, converted: &Converted) -> anyhow::Result<Verdict> {
     let Converted {
         n_frames,
@@ -135,7 +140,15 @@ fn conclude(args: &ConvertArgs, converted: &Converted) -> anyhow::Result<Verdict
             args.out.display()
         )?,
     }
-    Ok(Verdict::Done)
+    if *n_damaged == 0 {
+        return Ok(Verdict::Done);
+    }
+    let n_in_all = n_frames + n_damaged;
+    writeln!(
+        Stderr,
+        "error: {n_damaged} of {n_in_all} frames are damaged and left out"
+    )?;
+    Ok(Verdict::Failed)
 }
 
 fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {

@@ -10,7 +10,10 @@ use super::{
     body::{MAX_BODY_BYTES, too_long},
     problem::Problem,
 };
-use crate::control::{tls::Tls, token::Token};
+use crate::{
+    control::{tls::Tls, token::Token},
+    lock::lock,
+};
 use axum::{
     extract::{Request, State},
     http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header, uri::Authority},
@@ -18,7 +21,7 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 use tokio::time;
@@ -148,8 +151,7 @@ impl Default for Ration {
 
 impl Ration {
     fn take(&self) -> Result<(), Problem> {
-        // Two numbers: what a panic left behind is as good as any.
-        let mut ration = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ration = lock(&self.0);
         let (left, since) = *ration;
         let now = Instant::now();
         let left = COMMANDS.min(left + COMMANDS_PER_SEC * (now - since).as_secs_f64());

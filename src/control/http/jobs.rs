@@ -2,16 +2,14 @@
 
 use super::{
     App, aside,
+    path::Path,
     problem::{Problem, ProblemBody},
 };
 use crate::{
     control::status_body::RefinementBody,
     jobs::{Job, JobId},
 };
-use axum::{
-    Json,
-    extract::{Path, State},
-};
+use axum::{Json, extract::State};
 use serde::Serialize;
 use std::sync::Arc;
 use utoipa::ToSchema;

@@ -3,6 +3,7 @@
 mod accept;
 mod body;
 mod guard;
+mod path;
 mod problem;
 mod write_timeout;
 
@@ -54,7 +55,7 @@ pub struct App {
     sockets: Arc<Semaphore>,
     streams: Arc<Semaphore>,
     live_meshes: LiveMeshes,
-    held_meshes: HeldMeshes,
+    held_meshes: Arc<HeldMeshes>,
 }
 
 impl App {
@@ -67,7 +68,7 @@ impl App {
             sockets: Arc::new(Semaphore::new(MAX_SOCKETS)),
             streams: Arc::new(Semaphore::new(MAX_STREAMS)),
             live_meshes: LiveMeshes::default(),
-            held_meshes: HeldMeshes::default(),
+            held_meshes: Arc::default(),
         }
     }
 

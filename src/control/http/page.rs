@@ -1,8 +1,7 @@
 //! The page: files that are part of the program.
 
-use super::problem::Problem;
+use super::{path::Path, problem::Problem};
 use axum::{
-    extract::Path,
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse, Response},
 };

@@ -3,6 +3,7 @@
 use super::{
     App, accepted, aside,
     body::JsonBody,
+    path::Path,
     problem::{Problem, ProblemBody},
 };
 use crate::{
@@ -17,7 +18,7 @@ use crate::{
 };
 use axum::{
     Json,
-    extract::{Path, State},
+    extract::State,
     http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
@@ -145,7 +146,7 @@ pub async fn reset(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     command(&app, Command::Reset)
 }
 
-/// End the scan: meshes, shading images and report are written, then it is refined
+/// End the scan: meshes, shading images and report are written, then it is refined; from now on it can only be abandoned
 #[utoipa::path(post, path = "/api/v1/scan/finish", responses(
     (status = 202, description = "the scan is ending"),
     (status = "default", body = ProblemBody, content_type = "application/problem+json"),
@@ -154,7 +155,7 @@ pub async fn finish(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     command(&app, Command::Finish)
 }
 
-/// End the scan and do not refine it
+/// End the scan, or its end where it is ending already: it is not improved any further, and not refined
 #[utoipa::path(post, path = "/api/v1/scan/abandon", responses(
     (status = 202, description = "the scan is ending"),
     (status = "default", body = ProblemBody, content_type = "application/problem+json"),

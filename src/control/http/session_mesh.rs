@@ -3,6 +3,7 @@
 use super::{
     App, aside,
     mesh_format::encode_tri_mesh,
+    path::Path,
     problem::{Problem, ProblemBody},
     sessions::session_id,
 };
@@ -13,10 +14,12 @@ use crate::{
     },
     export::read_ply,
     geometry::{TriMesh, TriangleBvh},
+    lock::lock,
+    pipeline::{BASE_PLY, REFINED_PLY},
 };
 use axum::{
     body::Bytes,
-    extract::{Path, Query, State, rejection::QueryRejection},
+    extract::{Query, State, rejection::QueryRejection},
     http::{HeaderMap, StatusCode, header},
     response::{IntoResponse, Response},
 };
@@ -26,9 +29,10 @@ use sha2::{Digest, Sha256};
 use std::{
     collections::VecDeque,
     fs,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard},
     time::SystemTime,
 };
+use tokio::sync::Mutex as AsyncMutex;
 use utoipa::{IntoParams, ToSchema};
 
 /// Meshes that are held at most; three belong to a scan.
@@ -65,7 +69,11 @@ pub struct WhichQuery {
 
 /// The newest meshes that were asked for, in bytes.
 #[derive(Debug, Default)]
-pub struct HeldMeshes(Mutex<VecDeque<Held>>);
+pub struct HeldMeshes {
+    newest: Mutex<VecDeque<Held>>,
+    /// Held while a mesh is made, which takes all processors and much memory.
+    making: Arc<AsyncMutex<()>>,
+}
 
 #[derive(Clone, Debug)]
 struct Held {
@@ -83,6 +91,36 @@ struct Source {
 }
 
 impl HeldMeshes {
+    /// The hash of a mesh that is held from here on: made once however many ask, and no two at a time.
+    async fn find_or_make(
+        self: Arc<Self>,
+        source: Source,
+        make: impl FnOnce(&Source) -> Result<Vec<u8>, Problem> + Send + 'static,
+    ) -> Result<String, Problem> {
+        if let Some(held) = self.find(|held| held.source == source) {
+            return Ok(held.hash);
+        }
+        let making = self.making.clone().lock_owned().await;
+        // Whoever held the lock may have made it.
+        if let Some(held) = self.find(|held| held.source == source) {
+            return Ok(held.hash);
+        }
+        aside(move || {
+            // To its end, also for a client that does not wait for it.
+            let _making = making;
+            let bytes = Bytes::from(make(&source)?);
+            let digest = Sha256::digest(&bytes);
+            let hash: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+            self.keep(Held {
+                source,
+                hash: hash.clone(),
+                bytes,
+            });
+            Ok(hash)
+        })
+        .await
+    }
+
     fn find(&self, is_it: impl Fn(&Held) -> bool) -> Option<Held> {
         self.held().iter().find(|held| is_it(held)).cloned()
     }
@@ -95,8 +133,7 @@ impl HeldMeshes {
     }
 
     fn held(&self) -> MutexGuard<'_, VecDeque<Held>> {
-        // Meshes are put whole: what a panic left behind is as good as any.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.newest)
     }
 }
 
@@ -111,7 +148,11 @@ pub async fn mesh(
     query: Result<Query<WhichQuery>, QueryRejection>,
 ) -> Result<Response, Problem> {
     let (id, which) = (session_id(&id)?, query?.which);
-    let hash = aside(move || find_or_make(&app, id, which)).await?;
+    let looked = app.clone();
+    let source = aside(move || Source::of(&looked.supervisor.data, id, which)).await?;
+    let meshes = app.held_meshes.clone();
+    let made = meshes.find_or_make(source, move |source| make(&app.supervisor.data, source));
+    let hash = made.await?;
     let location = [
         (header::LOCATION, format!("/api/v1/meshes/{hash}")),
         (header::CACHE_CONTROL, "no-cache".to_owned()),
@@ -152,47 +193,36 @@ pub async fn by_hash(
     })
 }
 
-/// The hash of a mesh that is held from here on.
-fn find_or_make(app: &App, id: SessionId, which: Which) -> Result<String, Problem> {
-    let data = &app.supervisor.data;
-    let mut modified = Vec::new();
-    for name in which.files() {
-        let (_, path) = sessions::file(data, &id, name)?;
-        modified.push(fs::metadata(path)?.modified()?);
+impl Source {
+    /// What the files of a scan's mesh hold now.
+    fn of(data: &DataFolder, id: SessionId, which: Which) -> Result<Self, Problem> {
+        let mut modified = Vec::new();
+        for name in which.files() {
+            let (_, path) = sessions::file(data, &id, name)?;
+            modified.push(fs::metadata(path)?.modified()?);
+        }
+        Ok(Source {
+            id,
+            which,
+            modified,
+        })
     }
-    let source = Source {
-        id,
-        which,
-        modified,
-    };
-    if let Some(held) = app.held_meshes.find(|held| held.source == source) {
-        return Ok(held.hash);
-    }
-    let bytes = Bytes::from(make(data, &source.id, which)?);
-    let digest = Sha256::digest(&bytes);
-    let hash: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
-    app.held_meshes.keep(Held {
-        source,
-        hash: hash.clone(),
-        bytes,
-    });
-    Ok(hash)
 }
 
 impl Which {
     fn files(self) -> &'static [&'static str] {
         match self {
-            Which::Base => &["base.ply"],
-            Which::Refined => &["refined.ply"],
-            Which::Difference => &["refined.ply", "base.ply"],
+            Which::Base => &[BASE_PLY],
+            Which::Refined => &[REFINED_PLY],
+            Which::Difference => &[REFINED_PLY, BASE_PLY],
         }
     }
 }
 
-fn make(data: &DataFolder, id: &SessionId, which: Which) -> Result<Vec<u8>, Problem> {
+fn make(data: &DataFolder, source: &Source) -> Result<Vec<u8>, Problem> {
     let mut meshes = Vec::new();
-    for name in which.files() {
-        let (_, path) = sessions::file(data, id, name)?;
+    for name in source.which.files() {
+        let (_, path) = sessions::file(data, &source.id, name)?;
         meshes.push(read_ply(&path)?);
     }
     Ok(match &meshes[..] {
@@ -226,6 +256,31 @@ fn encode_mm(difference_mm: f64) -> u8 {
 mod tests {
     use super::*;
     use nalgebra::Point3;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use tokio::runtime;
+
+    #[test]
+    fn a_mesh_is_made_once_however_many_ask() {
+        let meshes = Arc::new(HeldMeshes::default());
+        let n_made = Arc::new(AtomicUsize::new(0));
+        let source = Source {
+            id: SessionId::generate(),
+            which: Which::Base,
+            modified: Vec::new(),
+        };
+        let ask = || {
+            let n_made = n_made.clone();
+            meshes.clone().find_or_make(source.clone(), move |_| {
+                n_made.fetch_add(1, Ordering::Relaxed);
+                Ok(vec![1, 2, 3])
+            })
+        };
+        let runtime = runtime::Builder::new_current_thread().build().unwrap();
+        let hashes = runtime.block_on(async { tokio::join!(ask(), ask(), ask()) });
+        assert!(hashes.0.is_ok());
+        assert_eq!((&hashes.0, &hashes.0), (&hashes.1, &hashes.2));
+        assert_eq!(n_made.load(Ordering::Relaxed), 1);
+    }
 
     fn square_at(z: f64) -> TriMesh {
         TriMesh {

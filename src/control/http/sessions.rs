@@ -3,6 +3,7 @@
 use super::{
     App, aside,
     jobs::JobBody,
+    path::Path,
     problem::{Problem, ProblemBody},
 };
 use crate::control::{
@@ -12,7 +13,7 @@ use crate::control::{
 use axum::{
     Json,
     body::Body,
-    extract::{Path, State},
+    extract::State,
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
@@ -96,14 +97,12 @@ pub async fn remove(
         if running(&app).as_ref() == Some(&id) {
             return Err(Problem::conflict("scanning", "the scan is going on"));
         }
-        if let Some(job) = worker
-            .of_scan(id.as_str())
-            .filter(|job| !job.state.is_ended())
-        {
-            return Err(Problem::conflict(
-                "refining",
-                format!("the scan is to be refined; cancel job {} first", job.id),
-            ));
+        if let Some(job) = worker.at_work_on(id.as_str()) {
+            let detail = match job.state.is_ended() {
+                true => format!("job {} of the scan has not come to its end yet", job.id),
+                false => format!("the scan is to be refined; cancel job {} first", job.id),
+            };
+            return Err(Problem::conflict("refining", detail));
         }
         sessions::remove(&app.supervisor.data, &id).map_err(no_session)?;
         tracing::info!(session_id = %id, "scan removed");

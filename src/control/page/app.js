@@ -80,7 +80,7 @@ function showStatus(next) {
   previews.showSaturation(next.ir_saturated_share);
   snapshots.follow(scanId, next.snapshots);
   kinect1.show(next.kinect1_sequence);
-  refinement.show(next.refinement);
+  refinement.show(next);
   health.show(next);
   stage?.follow(next);
   followSessions(scanId);

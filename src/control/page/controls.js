@@ -22,7 +22,7 @@ const ALLOWED = {
 
 export class Controls {
   #buttons = Object.fromEntries(
-    ['start', 'pause', 'resume', 'snapshot', 'undo', 'refine', 'reset', 'stop', 'export']
+    ['start', 'pause', 'resume', 'snapshot', 'undo', 'refine', 'reset', 'stop', 'abandon', 'export']
       .map((name) => [name, document.getElementById(name)]),
   );
   #label = document.getElementById('label');
@@ -46,6 +46,10 @@ export class Controls {
       if (isMeant) await api.command('reset');
     });
     this.#bind('stop', () => api.command('finish'));
+    this.#bind('abandon', async () => {
+      const isMeant = await confirmed('Abandon the scan?', 'It stays as it is by now and is not refined. What finds no room on the disk is lost.', 'Abandon it');
+      if (isMeant) await api.command('abandon');
+    });
     this.#buttons.export.addEventListener('click', on.export);
     this.#update();
   }
@@ -66,6 +70,12 @@ export class Controls {
     return SCANNING.includes(state) || (state === 'fault' && Boolean(scan) && phase === 'capturing');
   }
 
+  /** Whether the scan is being ended: its meshes are made and written, or wait for room. */
+  #isEnding() {
+    const { state, scan, phase } = this.#status ?? {};
+    return Boolean(scan) && (state === 'draining' || phase !== 'capturing');
+  }
+
   #isAllowed(name) {
     const { state, reason, scan } = this.#status ?? {};
     const fits = name === 'start' ? !scan : this.#isScanning();
@@ -80,12 +90,16 @@ export class Controls {
     const canRefine = this.#isScanning() ? this.#status.snapshots.accepted > 0 : state === 'idle' && this.#lastSession !== null;
     this.#buttons.refine.disabled = !canRefine || ['waiting', 'running'].includes(this.#status.refinement.state);
     this.#buttons.export.disabled = !this.#status || !this.#hasFiles;
+    const isEnding = this.#isEnding();
+    this.#buttons.abandon.disabled = !isEnding;
     if (!state) return;
     document.getElementById('name').hidden = !this.#isAllowed('start');
     const shown = state === 'paused' ? 'resume' : this.#isScanning() || state === 'draining' ? 'pause' : 'start';
     for (const name of ['start', 'pause', 'resume']) this.#buttons[name].hidden = name !== shown;
-    // Three buttons share a place: the focus goes on to the one that takes it.
-    if (focused?.hidden && focused.matches('.primary')) this.#buttons[shown].focus();
+    this.#buttons.stop.hidden = isEnding;
+    this.#buttons.abandon.hidden = !isEnding;
+    // Three buttons share a place, and two: the focus goes on to the one that takes it, or that there is to press.
+    if (focused?.hidden && focused.closest('.toolbar')) this.#buttons[focused.id === 'stop' ? 'abandon' : shown].focus();
   }
 
   #bind(name, act) {

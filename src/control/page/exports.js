@@ -54,7 +54,7 @@ export class Exports {
 
   /**
    * Fetches the list; the scan that is still going on is none of them. Returns the scans that failed or were interrupted
-   * since it was fetched last, the newest first.
+   * since it was fetched last, the newest first; the first time the last scan, if it was interrupted.
    */
   async refresh(scanId) {
     this.#nFetched += 1;
@@ -67,7 +67,9 @@ export class Exports {
     this.sessions = ended.filter(({ files }) => files.length > 0);
     const before = this.#states;
     this.#states = new Map(sessions.map(({ id, state }) => [id, state]));
-    return before ? ended.filter(({ id, state }) => ['failed', 'interrupted'].includes(state) && before.get(id) !== state) : [];
+    if (before) return ended.filter(({ id, state }) => ['failed', 'interrupted'].includes(state) && before.get(id) !== state);
+    const last = ended.find((session) => !session.interim_of);
+    return last?.state === 'interrupted' ? [last] : [];
   }
 
   open() {

@@ -13,6 +13,11 @@ const WORDS = {
   cancelled: 'Cancelled; the fused mesh stands.',
   superseded: 'Overtaken by a newer set of shading images.',
 };
+/** Of a scan that gives refinement nothing to go by. */
+const WITHOUT_IMAGES = {
+  scanning: 'The scan has no shading image yet, and is not refined without one.',
+  ended: 'The last scan has no shading image and is not refined.',
+};
 
 export class Refinement {
   #card = document.getElementById('refinement');
@@ -24,17 +29,23 @@ export class Refinement {
     ['round', 'step', 'energy', 'rmse', 'left'].map((name) => [name, document.getElementById(`refinement-${name}`)]),
   );
   #job = null;
+  /** Whether the scan that goes on, or was seen last, has no shading image. */
+  #lacksImages = false;
 
   /** `report(error)` is told of what the daemon refuses. */
   constructor(report) {
     this.#cancel.addEventListener('click', () => api.cancelJob(this.#job).catch(report));
   }
 
-  show(refinement) {
+  /** `refinement`, `scan` and `snapshots` of the status. */
+  show({ refinement, scan, snapshots }) {
     const { state, message, job } = refinement;
     this.#job = job;
     this.#card.dataset.state = state;
-    this.#words.textContent = message ? `${WORDS[state] ?? state} ${message}` : WORDS[state] ?? state;
+    if (scan) this.#lacksImages = snapshots.accepted === 0;
+    const lacking = this.#lacksImages ? WITHOUT_IMAGES[scan ? 'scanning' : 'ended'] : null;
+    const words = lacking && state === 'none' ? null : WORDS[state] ?? state;
+    this.#words.textContent = [words, message, lacking].filter(Boolean).join(' ');
     this.#progress.hidden = state === 'none' || state === 'waiting';
     this.#cancel.hidden = state !== 'running' || !job;
     if (!this.#progress.hidden) this.#showFigures(refinement);

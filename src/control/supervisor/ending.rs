@@ -1,4 +1,4 @@
-//! A scan's end: how it ended is written down, and its refinement asked for.
+//! A scan's end: its refinement is asked for, and how it ended written down.
 
 use super::{Scan, Slot, Supervisor, sum};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
         scan_record::{self, ScanRecord},
     },
     export::ExportError,
-    jobs::{Job, JobError},
+    jobs::{Job, JobError, JobState},
     lock::lock,
     pipeline::{Handle, Outcome},
 };
@@ -19,7 +19,7 @@ use std::{
 use tokio::task;
 
 impl Supervisor {
-    /// Waits for a scan's end, writes down how it ended, and asks for its refinement.
+    /// Waits for a scan's end, asks for its refinement, and writes down how it ended.
     pub(super) async fn accompany(self: Arc<Self>, handle: Handle, scan: Arc<Scan>) {
         let joined = task::spawn_blocking(|| handle.join()).await;
         let failures = match &joined {
@@ -47,36 +47,31 @@ impl Supervisor {
         self.occupy(Slot::Idle);
     }
 
-    /// Writes down how a scan ended, and asks for its refinement; waits for the disk, as its files did.
+    /// Asks for a scan's refinement, and writes down how the scan ended; waits for the disk, as its files did. In this order: if the
+    /// daemon ends in between, the scan is told of as interrupted, and refined all the same.
     fn conclude(&self, scan: &Scan, record: &ScanRecord, folder: &Path) {
         let id = &record.id;
-        let path = folder.join(scan_record::NAME);
-        let written = scan.watch.write_patiently(scan_record::NAME, || {
-            let refused = |cause| ExportError::Write {
-                path: path.clone(),
-                cause,
-            };
-            record.write(folder).map_err(refused)
-        });
-        if let Err(error) = written {
+        let asked = scan
+            .wants_refinement()
+            .then(|| self.submit_patiently(scan, folder));
+        if let Err(error) = write_patiently(scan, record, folder) {
             tracing::error!(session_id = %id, %error, "the scan's record cannot be written");
         }
-        if scan.wants_refinement.load(Ordering::Relaxed) {
-            match self.submit_patiently(scan, folder) {
-                Ok(job) => tracing::info!(session_id = %id, job = %job.id, "refinement asked for"),
-                Err(error) => tracing::warn!(session_id = %id, error, "no refinement"),
+        match asked.map(|asked| self.unless_abandoned(scan, asked?)) {
+            None => {}
+            Some(Ok(job)) => {
+                tracing::info!(session_id = %id, job = %job.id, "refinement asked for");
             }
+            Some(Err(error)) => tracing::warn!(session_id = %id, error, "no refinement"),
         }
     }
 
     /// Gives an ended scan to the refinement worker as soon as the disk has room for the job, or says why not.
     fn submit_patiently(&self, scan: &Scan, folder: &Path) -> Result<Job, String> {
-        let wants_refinement = || scan.wants_refinement.load(Ordering::Relaxed);
         let submitted = scan.watch.write_patiently("refinement", || {
-            if !wants_refinement() {
+            if !scan.wants_refinement() {
                 return Ok(None);
             }
-            interim::cancel_waiting(self, &scan.record.id);
             match self.worker.submit(folder) {
                 Err(JobError::Io { path, source }) if is_passing(&source) => {
                     Err(ExportError::Write {
@@ -87,17 +82,28 @@ impl Supervisor {
                 ended => Ok(Some(ended)),
             }
         });
-        let abandoned = || "the scan was abandoned".to_owned();
         let job = submitted.map_err(|error| error.to_string())?;
         let job = job.ok_or_else(abandoned)?;
         let job = job.map_err(|error| error.to_string())?;
-        if wants_refinement() {
+        interim::cancel_waiting(self, &scan.record.id, &job);
+        Ok(job)
+    }
+
+    /// Takes a job back if somebody has abandoned the scan since it was asked for: that takes seconds for a large one, and the disk
+    /// may be waited for.
+    fn unless_abandoned(&self, scan: &Scan, job: Job) -> Result<Job, String> {
+        if scan.wants_refinement() {
             return Ok(job);
         }
-        // While it was given to the worker, which takes seconds for a large one.
-        let cancelled = self.worker.cancel(&job.id);
-        cancelled.map_err(|error| error.to_string())?;
-        Err(abandoned())
+        match self.worker.cancel(&job.id) {
+            Ok(()) => Err(abandoned()),
+            // It was refined before.
+            Err(JobError::Ended {
+                state: JobState::Done,
+                ..
+            }) => Ok(job),
+            Err(error) => Err(error.to_string()),
+        }
     }
 
     fn account(&self, scan: &Scan, record: &ScanRecord) {
@@ -108,6 +114,22 @@ impl Supervisor {
         ended.frames = sum(&ended.frames, &status.frames);
         ended.last = Some(record.id.clone());
     }
+}
+
+/// Writes down how a scan ended, as soon as the disk has room for it.
+fn write_patiently(scan: &Scan, record: &ScanRecord, folder: &Path) -> Result<(), ExportError> {
+    let path = folder.join(scan_record::NAME);
+    scan.watch.write_patiently(scan_record::NAME, || {
+        let refused = |cause| ExportError::Write {
+            path: path.clone(),
+            cause,
+        };
+        record.write(folder).map_err(refused)
+    })
+}
+
+fn abandoned() -> String {
+    "the scan was abandoned".to_owned()
 }
 
 fn has_mesh(outcome: Outcome) -> bool {

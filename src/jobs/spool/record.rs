@@ -91,7 +91,8 @@ impl Record {
     pub fn job(&self, place: Place) -> Job {
         let state = match (&self.ending, place) {
             (Some(ending), _) => ending.state,
-            (None, Place::Running) => JobState::Running,
+            (None, Place::Running) if self.attempt.is_some() => JobState::Running,
+            // Also of those that were claimed, and then the disk had no room for the attempt's number.
             (None, _) => JobState::Waiting,
         };
         Job {

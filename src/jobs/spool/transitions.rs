@@ -233,6 +233,19 @@ impl Spool {
         }
     }
 
+    /// Ends a job that waits; one that has begun, or is over, stays as it is.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn cancel_waiting(&self, id: &JobId) -> Result<(), JobError> {
+        match self.find(id)? {
+            Some((Place::Waiting, record)) if record.ending.is_none() => {
+                self.end_at(Place::Waiting, record, JobState::Cancelled, None)
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn running(&self, id: &JobId) -> Result<Record, JobError> {
         match self.find(id)? {
             Some((Place::Running, record)) => Ok(record),

@@ -71,11 +71,8 @@ impl InterimWriter {
         let write = move || {
             let kind = match interim.write(&folder, &info) {
                 Ok(()) => {
-                    slot.write(Some(InterimScan {
-                        number,
-                        folder: folder.clone(),
-                    }));
-                    EventKind::Interim { folder }
+                    slot.write(Some(InterimScan { number, folder }));
+                    EventKind::Interim { number }
                 }
                 Err(reason) => {
                     // Half of it is of no use, and takes room.

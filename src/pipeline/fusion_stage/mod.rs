@@ -137,7 +137,7 @@ pub fn choose_object(
 /// What became of the frames.
 #[derive(Clone, Debug, Default)]
 pub struct FusionSummary {
-    /// Frames in the model.
+    /// Frames that were fused, those that were taken back later, too.
     pub n_fused: u64,
     /// Frames during which tracking was lost.
     pub n_lost: u64,

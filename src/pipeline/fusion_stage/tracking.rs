@@ -123,7 +123,7 @@ impl FusionStage {
         let n_snapshots = selector.n_accepted();
         let is_granted = was_requested && !selector.is_requested();
         self.showing.note(frame, selector.rejected());
-        if n_snapshots > n_before || is_granted {
+        if n_snapshots != n_before || is_granted {
             self.tell(frame, EventKind::Snapshot { n_snapshots });
         }
         self.give_up_request(frame);

@@ -1,7 +1,7 @@
 //! Images for the eye: 8 bits a pixel, and small.
 
 use super::Preview;
-use crate::snapshot::SATURATION;
+use crate::shading::SATURATION;
 use depth_camera::Image;
 
 /// Widest preview, columns.

@@ -10,7 +10,7 @@ use freenect1::{
 };
 use replay::ReplayCamera;
 use serde_json::Value;
-use std::{path::Path, time::Duration};
+use std::{fs, path::Path, time::Duration};
 
 const N_FRAMES: usize = 8;
 
@@ -149,6 +149,24 @@ fn a_recording_goes_on_after_each_of_three_unpluggings() {
     {
         assert_sent(frame, &sent, 0.0);
     }
+}
+
+#[test]
+fn a_recording_that_cannot_be_written_any_more_is_whole_and_summed_up() {
+    let bus = Bus::new();
+    let sent = noise_frames(N_FRAMES, 4);
+    bus.plug("kinect0", "serial = R1\nframe_rate_hz = 15", &sent);
+    let mut running = start(&bus, "out");
+    let (folder, elsewhere) = (bus.path("out"), bus.path("elsewhere"));
+    wait_for_frames(&mut running, &folder, 4);
+    fs::rename(folder.join("disparity"), &elsewhere).unwrap();
+    let summary: Value = serde_json::from_str(&running.end_with(1)).unwrap();
+    assert_eq!(summary["status"], "failed");
+    let failure = summary["failures"][0].as_str().unwrap();
+    assert!(failure.contains("disparity/"), "{failure}");
+    fs::rename(&elsewhere, folder.join("disparity")).unwrap();
+    let recorded = frames(RawDisparityCamera::open(&folder).unwrap());
+    assert_eq!(summary["recorded"], recorded.len());
 }
 
 #[test]
