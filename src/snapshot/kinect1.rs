@@ -1,11 +1,12 @@
 //! Kinect I: the shading sequence. The operator holds still, covers the projector (depth goes empty), lights the lamp, and
 //! uncovers the projector again; nobody tells the program, the images do.
 //!
-//! *Exposures* are IR images without depth and without speckle that the lamp lights. Those between two tracked frames form
-//! a *group*: they become one shading image at the pose that [`HeldPose`] says; those of the group that the lamp does not light become its
-//! ambient light. A group that is less than a quarter as bright as the brightest of the scan, distance allowed for, was taken without
-//! the lamp in a lit room, and becomes nothing: the first ones too, as soon as a brighter one tells. When there are more groups than `max_snapshots`, those that tell most are kept, as for the Kinect II; up to that number each pose that the operator
-//! took the trouble to hold is kept, however little it adds.
+//! *Exposures* are IR images without depth and without speckle that the lamp lights. Those between two tracked frames form a
+//! *group*: they become one shading image at the pose that [`HeldPose`] says; those of the group that the lamp does not light
+//! become its ambient light. A group that is less than a quarter as bright as the brightest of the scan, distance allowed for,
+//! was taken without the lamp in a lit room, and becomes nothing: the first ones too, as soon as a brighter one tells. When
+//! there are more groups than `max_snapshots`, those that tell most are kept, as for the Kinect II; up to that number each pose
+//! that the operator took the trouble to hold is kept, however little it adds.
 
 use super::candidates::Candidates;
 use super::exposures::{Agreeing, Exposure, agreeing, saturated_share};
