@@ -283,9 +283,7 @@ fn take_frames(
             }
             Err(CameraError::Timeout { .. } | CameraError::NotDue) => continue,
             Err(CameraError::Disconnected) => {
-                tracing::warn!(
-                    "unplugged or silent: it is opened again, or plug it in again, and recording goes on"
-                );
+                tracing::warn!("unplugged, or silent: plug it in again and recording goes on");
                 summary.unplugged += 1;
                 continue;
             }
