@@ -218,6 +218,7 @@ impl StatusBody {
         let (state, reason, advice) = told_state(supervisor, status.as_ref());
         let is_capturing = status.is_some();
         let status = status.unwrap_or_default();
+        let worker = supervisor.worker.status();
         StatusBody {
             state,
             reason,
@@ -226,7 +227,7 @@ impl StatusBody {
                 true => status.phase.code(),
                 false => "idle",
             },
-            storage_error: storage_error(supervisor, &status),
+            storage_error: storage_error(&status, worker.refusal),
             improvement: status.improvement.map(|improvement| ImprovementBody {
                 work: improvement.work.code(),
                 done: improvement.n_done,
@@ -247,7 +248,7 @@ impl StatusBody {
                 speckle: sequence.speckle,
                 speckle_limit: sequence.speckle_limit,
             }),
-            refinement: refinement(supervisor, scan.as_deref()),
+            refinement: refinement(supervisor, scan.as_deref(), worker.running),
             recording: RecordingBody::of(&status.recording),
             mesh: status.mesh.map(|mesh| MeshBody {
                 revision: mesh.revision,
@@ -266,9 +267,9 @@ impl StatusBody {
 }
 
 /// What waits for the disk: of the scan, or else of the refinements.
-fn storage_error(supervisor: &Supervisor, status: &Status) -> Option<String> {
+fn storage_error(status: &Status, of_refinements: Option<String>) -> Option<String> {
     let of_scan = status.unwritten.values().next().cloned();
-    of_scan.or_else(|| supervisor.worker.status().refusal)
+    of_scan.or(of_refinements)
 }
 
 /// State, reason and advice.
@@ -322,12 +323,16 @@ impl RecordingBody {
 
 /// The refinement that concerns the operator most: the one that runs, else the newest of the scan that goes on or ended last, else
 /// the newest of all.
-fn refinement(supervisor: &Supervisor, scan: Option<&Scan>) -> RefinementBody {
+fn refinement(
+    supervisor: &Supervisor,
+    scan: Option<&Scan>,
+    running: Option<Job>,
+) -> RefinementBody {
     let worker = &supervisor.worker;
     let id = scan.map(|scan| scan.record.id.clone());
     let newest = || worker.of_scan(id.or(supervisor.ended().last)?.as_str());
     let of_all = || worker.list().into_iter().next();
-    let job = worker.status().running.or_else(newest).or_else(of_all);
+    let job = running.or_else(newest).or_else(of_all);
     let Some(job) = job else {
         return RefinementBody {
             state: "none",
