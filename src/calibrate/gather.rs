@@ -104,7 +104,7 @@ pub enum Place {
 }
 
 /// A wall is a plane that holds this share of the depth.
-const WALL_SHARE: f64 = 0.8;
+pub(super) const WALL_SHARE: f64 = 0.8;
 /// What lies farther before a plane stands out of it, metres: the top of a ball on a table is as high as the ball is wide.
 const STANDING_OUT_M: f64 = 0.03;
 /// A plane is bare where a smaller share of the depth stands out of it. Recorded walls have none, a ball of 10 cm has 0.011 at 0.65 m.

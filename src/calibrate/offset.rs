@@ -148,6 +148,9 @@ pub fn combine_offsets(images: &[ImageOffset]) -> Result<OffsetEstimate, OffsetE
     }
 }
 
+/// Standard error of the median of Gaussian values over that of their mean: √(π/2).
+const MEDIAN_OVER_MEAN_ERROR: f64 = 1.2533;
+
 /// The median and half its interval of 95 % confidence: 1.96 standard errors of a median, whose deviation comes from the
 /// median deviation, widened for few values as Student's distribution is.
 fn median_with_interval(values: impl Iterator<Item = f64>) -> (f64, f64) {
@@ -158,7 +161,10 @@ fn median_with_interval(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let deviation = median_between(&mut deviations).expect("there are enough images");
     let sigma = SIGMAS_PER_DEVIATION * deviation;
     let few = 1.0 + 3.0 / (n - 1.0);
-    (middle, INTERVAL_SIGMAS * few * 1.2533 * sigma / n.sqrt())
+    (
+        middle,
+        INTERVAL_SIGMAS * few * MEDIAN_OVER_MEAN_ERROR * sigma / n.sqrt(),
+    )
 }
 
 /// One step of the robust fit of offset and erosion to the distances of the matches, and the matches that count in it;

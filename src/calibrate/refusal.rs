@@ -1,7 +1,7 @@
 //! Why a calibration is refused, each with the figure that shows it.
 
 use super::estimate::{Estimate, SessionFit};
-use super::gather::{Scan, Shares, Target};
+use super::gather::{Scan, Shares, Target, WALL_SHARE};
 use crate::shading::SATURATION;
 
 /// A session, or all of them, from which nothing can be learnt.
@@ -20,7 +20,8 @@ pub enum Refusal {
     },
     /// Neither target is in view.
     #[error(
-        "{session}: neither a wall (a plane that holds 80 % of the depth) nor a sphere is in view: {shares}"
+        "{session}: neither a wall (a plane that holds {:.0} % of the depth) nor a sphere is in view: {shares}",
+        100.0 * WALL_SHARE
     )]
     NoSphere {
         /// The session.

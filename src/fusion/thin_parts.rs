@@ -99,11 +99,12 @@ fn facets(mesh: &TriMesh, brick_m: f64) -> Vec<Facet> {
     let mut sums: HashMap<(BrickCoord, usize), FacetSums> = HashMap::new();
     for face in 0..mesh.faces.len() {
         let (area, centre) = (mesh.face_normal(face), mesh.centroid(face));
+        let weight = area.norm();
         let place = (cell_of(&centre, brick_m), facing_side(&area));
         let sums = sums.entry(place).or_default();
         sums.areas += area;
-        sums.weight += area.norm();
-        sums.moments += centre.coords * area.norm();
+        sums.weight += weight;
+        sums.moments += centre.coords * weight;
     }
     // Area vectors are twice the area long.
     let min_norm = 2.0 * MIN_AREA_SHARE * brick_m * brick_m;

@@ -16,7 +16,7 @@ mod support;
 pub use indirect_light::IndirectLight;
 pub use patches::{Lit, PatchGrid, Radiances};
 pub use receivers::{Receiver, receivers};
-pub use sources::{MIN_DISTANCE_M, Sources, Way};
+pub use sources::{Sources, Way};
 
 use crate::robust::quantile;
 use depth_camera::Image;

@@ -4,7 +4,7 @@ use super::Lit;
 use crate::geometry::lanes::{LANES, Lane};
 
 /// Patches nearer to one another than this count as this far apart, metres: a patch is no point.
-pub const MIN_DISTANCE_M: f32 = 0.02;
+const MIN_DISTANCE_M: f32 = 0.02;
 
 /// Point, normal, radiance times area, and distance to the light.
 const N_COORDINATES: usize = 8;
@@ -51,7 +51,7 @@ pub struct Way {
     pub here: f32,
     /// The same at the source.
     pub there: f32,
-    /// Fourth power of the length, of [`MIN_DISTANCE_M`] at least: with it the cosines become those of unit vectors, and light fades.
+    /// Fourth power of the length, of `MIN_DISTANCE_M` at least: with it the cosines become those of unit vectors, and light fades.
     pub to_the_fourth: f32,
     /// Radiance times area of the source, m².
     pub power: f32,

@@ -32,7 +32,8 @@ const OTHER_CAUSES_M: f64 = 3e-5;
 const SHOWN_SHARE: f64 = 0.5;
 /// Shares beyond these bounds are noise.
 const SHOWN_SHARES: [f64; 2] = [0.25, 1.0];
-/// A scan is fused again for a larger change of strength than this share.
+/// A scan is fused again for a larger change of strength than this share. At 0.1 a chest's base mesh was left at 0.78 mm, which comes
+/// to 0.62.
 const TOLERANCE: f64 = 0.04;
 
 impl WhiteSearch {

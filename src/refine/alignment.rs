@@ -7,7 +7,7 @@
 use super::gaze::Gaze;
 use super::sites::Sites;
 use super::view::{Sample, View};
-use crate::geometry::increment_about;
+use crate::geometry::{Pose, increment_about, increment_of};
 use crate::robust::Tukey;
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector6};
 use serde::{Deserialize, Serialize};
@@ -141,9 +141,8 @@ fn row(view: &View, sample: &Sample, albedo: f64, centre: &Point3<f64>) -> Optio
 /// Prior that ties the view to its tracked pose and to gain 1.
 fn prior(view: &View, centre: &Point3<f64>, params: &AlignmentParams) -> (Matrix7, Vector7) {
     let moved = view.camera_from_world * view.tracked_camera_from_world.inverse();
-    let turn = moved.rotation.scaled_axis();
     let shift = moved.translation.vector - (centre.coords - moved.rotation * centre.coords);
-    let offset = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+    let offset = increment_of(&Pose::from_parts(shift.into(), moved.rotation));
     let [r, t, g] = [
         params.rotation_sigma_rad,
         params.translation_sigma_m,

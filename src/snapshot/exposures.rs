@@ -116,7 +116,7 @@ impl Agreeing<'_> {
 }
 
 /// Share of the pixels at full scale.
-pub fn saturated_share<T: Copy + Into<f32>>(counts: &Image<T>, full_scale: f64) -> f64 {
+pub(super) fn saturated_share<T: Copy + Into<f32>>(counts: &Image<T>, full_scale: f64) -> f64 {
     let limit = (SATURATION * full_scale) as f32;
     let n_saturated = counts
         .data()

@@ -103,7 +103,7 @@ impl LampGroup {
     }
 
     /// Mean counts of the brightest of them; 0 without any.
-    pub(super) fn brightest(&self) -> f64 {
+    fn brightest(&self) -> f64 {
         let means = self.exposures.iter().map(Exposure::mean_counts);
         means.fold(0.0, f64::max)
     }

@@ -33,7 +33,6 @@ mod bench_tests;
 mod scenes;
 
 pub use coverage::Coverage;
-pub use exposures::saturated_share;
 pub use guide::Guidance;
 pub use information::attention;
 pub use next_view::Viewpoint;
