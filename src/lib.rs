@@ -10,6 +10,7 @@ pub mod calibrate;
 pub mod capture;
 pub mod config;
 pub mod control;
+pub mod depth_correction;
 pub mod devices;
 pub mod evaluate;
 pub mod export;

@@ -36,7 +36,6 @@ mod snapshot_meta;
 mod stop_depth;
 
 mod deliver;
-mod depth_correction;
 mod output_folder;
 mod patience;
 mod pictures;
@@ -57,7 +56,6 @@ pub use deliver::{
     BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, SCENE_PLY,
     TRAJECTORY,
 };
-pub use depth_correction::{DepthCorrection, MeasuredWhite};
 pub use edges::WhenFull;
 pub use event_log::EventLog;
 pub use fusion_stage::FusedScan;
@@ -71,10 +69,12 @@ pub use status::{
     MeshStatus, Phase, RecordingStatus, RefinementProgress, SequenceStatus, SnapshotCounts, Status,
 };
 pub use stop_depth::{ShadingOutcome, ShadingRefusal, ShadingRequest, StopDepthCamera};
+pub use threads::idle_pool;
 pub use timing::{peak_memory_bytes, resident_memory_bytes};
 
 use crate::{
     capture::{CaptureParams, IrOffset, Recorder},
+    depth_correction::DepthCorrection,
     fusion::{FusionParams, InfraredOptics},
     multipath::MultipathParams,
     refine::{ObjectParams, RefineParams, Roi},

@@ -1,4 +1,5 @@
-//! Response and light by the images of a scan whose depth is still to be corrected by them.
+//! Response and light by the images of a scan whose depth is still to be corrected by them: what the fusion thread asks of refinement
+//! before it lets the depth be revised.
 
 use super::fusion_stage::choose_object;
 use crate::{
@@ -23,9 +24,6 @@ pub struct SelfCalibration {
     pub refine: RefineParams,
 }
 
-/// Shading images that are asked at most: all of them need a hundred megabytes while the scan's frames are still held.
-const MAX_VIEWS: usize = 16;
-
 impl SelfCalibration {
     /// The calibration that the images tell of; `None` where that is the one believed, or nothing.
     pub fn contradiction(
@@ -37,12 +35,10 @@ impl SelfCalibration {
         let rays = RayGrid::new(CameraModel::new(self.info.intrinsics));
         let optics = Optics::of(&self.info, &rays, &self.calibration)?;
         let object = self.object(base, world_from_cameras)?;
-        let every = snapshots.len().div_ceil(MAX_VIEWS).max(1);
-        let spread: Vec<ShadingSnapshot> = snapshots.iter().step_by(every).cloned().collect();
         let subject = Subject {
             scene: base,
             object: &object,
-            snapshots: &spread,
+            snapshots,
             optics: &optics,
         };
         contradiction_as_tracked(&subject, &self.refine)

@@ -19,11 +19,14 @@ use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::snapshot::ShadingSnapshot;
 
 /// The calibration that is found has to leave no more than this share of the slow gain that is left by what is believed. A gamma that
 /// is 9 to 40 % off leaves two to ten times what the right one does, on the base surfaces of the recorded scans; in a bowl, whose own
 /// light is guessed, gamma came out 34 % off and left 0.93.
 const MAX_LEFT_SHARE: f64 = 0.8;
+/// Images that are asked at most: all of them need a hundred megabytes while the scan's frames are still held.
+const MAX_ASKED: usize = 16;
 
 /// Views that are asked for the calibration that they were taken with.
 pub struct CalibrationTrial<'a> {
@@ -107,7 +110,7 @@ impl CalibrationTrial<'_> {
     }
 }
 
-/// What the images of a scan say against its calibration before its depth is corrected for good.
+/// What some images of a scan, spread over all of them, say against its calibration before its depth is corrected for good.
 ///
 /// # Errors
 /// Where nothing is left of the surface.
@@ -115,6 +118,12 @@ pub fn contradiction_as_tracked(
     subject: &Subject,
     params: &RefineParams,
 ) -> Result<Option<Contradiction>, RefineError> {
+    let every = subject.snapshots.len().div_ceil(MAX_ASKED).max(1);
+    let spread: Vec<ShadingSnapshot> = subject.snapshots.iter().step_by(every).cloned().collect();
+    let subject = &Subject {
+        snapshots: &spread,
+        ..*subject
+    };
     let trial = CalibrationTrial {
         subject,
         params: &params.for_object(subject.object, subject.footprint_m()),

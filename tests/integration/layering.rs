@@ -20,6 +20,16 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "multipath",
         &["robust", "geometry", "shading", "interreflection", "fusion"],
     ),
+    (
+        "depth_correction",
+        &[
+            "geometry",
+            "shading",
+            "interreflection",
+            "multipath",
+            "fusion",
+        ],
+    ),
     ("snapshot", &["robust", "geometry", "shading", "fusion"]),
     (
         "calibrate",
@@ -61,9 +71,9 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "geometry",
             "lock",
             "shading",
-            "interreflection",
             "capture",
             "multipath",
+            "depth_correction",
             "fusion",
             "snapshot",
             "refine",

@@ -1,6 +1,8 @@
 //! `relief calibrate depth`: how bright white is, which tells how strong multipath is.
 
-use super::{DepthArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
+use super::{
+    DepthArgs, check_beforehand, check_wanted, conclude, measured_session, merge, next_frame, open,
+};
 use crate::cli::{
     run::{Verdict, all_processors, calibration_folder, session_name},
     stdout::Stdout,
@@ -13,20 +15,21 @@ use relief::{
         CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, Measurement, Overrides,
         calibration_path, find_calibration,
     },
+    depth_correction::{DepthCorrection, MeasuredWhite},
     fusion::{DepthNoise, Fusion},
     geometry::CameraModel,
-    pipeline::{DepthCorrection, MeasuredWhite},
     shading::{Calibration, LightCalibration},
 };
 use std::{
     collections::BTreeMap,
     io::{self, Write},
     path::Path,
+    sync::atomic::AtomicBool,
     time::SystemTime,
 };
 
 /// `relief calibrate depth`.
-pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
+pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
     let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
     let mut camera = open(&args.session, &config)?;
     let info = camera.info().clone();
@@ -57,7 +60,7 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
         let camera_model = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
         let mut fusion = Fusion::new(camera_model, noise, config.fusion.clone());
-        while let Some(frame) = next_frame(camera.as_mut())? {
+        while let Some(frame) = next_frame(camera.as_mut(), stop)? {
             correction.thin_out(&fusion);
             let corrected = correction.correct(&frame).unwrap_or(frame);
             if let Some(depth_m) = &corrected.depth {
@@ -69,6 +72,7 @@ pub fn depth(args: &DepthArgs) -> anyhow::Result<Verdict> {
     let measured = measured.context(
         "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared",
     )?;
+    check_wanted(stop)?;
     device.light.white_level = Some(measured.white.0);
     let write = || {
         let measurement = measurement(&measured, &args.session)?;

@@ -14,7 +14,6 @@ use super::{
     accounts::Place,
     command::Command,
     conditions::{Conditions, Observed},
-    depth_correction::DepthCorrection,
     depth_statistics::DepthStatistics,
     edges::{FrameReceiver, TrackedSender},
     given_poses::GivenPoses,
@@ -27,6 +26,7 @@ use super::{
     timing::StageClock,
 };
 use crate::{
+    depth_correction::DepthCorrection,
     export::StageTiming,
     fusion::{DepthNoise, Fusion, FusionParams, InfraredOptics},
     geometry::{CameraModel, Pose, TriMesh, path_length_m},

@@ -1,7 +1,7 @@
 //! Frames that are fused again with their rows put right lie elsewhere, and carry those after them along; where tracking broke, and the
 //! camera was found in another place, those near it do.
 
-use super::SHUTTER_REACH;
+use super::revision::SHUTTER_REACH;
 use crate::geometry::{Pose, motion_between};
 
 /// How far frames were moved, in order of time.

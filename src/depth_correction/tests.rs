@@ -1,7 +1,11 @@
 //! Scans of the simulated Kinect II, fused again at their end.
 
+use super::predictions::nanos;
 use super::*;
-use crate::geometry::motion_between;
+use crate::{
+    fusion::{DepthNoise, TrackingOutcome},
+    geometry::motion_between,
+};
 use depth_camera::DepthCamera;
 use simulated::SimulatedCamera;
 use std::time::Duration;
@@ -155,7 +159,7 @@ fn multipath_is_taken_once_off_a_frame_without_an_infrared_image() {
         correction.anew(depth, time_secs, &pose, &fusion, &known)
     };
     let of_corrected = anew(&correction, &frame.depth_m());
-    correction.predictions.remove(&nanos(time_secs));
+    correction.predictions.0.remove(&nanos(time_secs));
     let of_seen = anew(&correction, &seen_m);
     let mean = |a: &Image<f32>, b: &Image<f32>| {
         let pixels = a.data().iter().zip(b.data());

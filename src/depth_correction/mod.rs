@@ -1,0 +1,156 @@
+//! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
+//! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
+//!
+//! A Kinect II suffers from multipath; a Kinect I has a slow error of its depth and reads its rows one after the other, which only the
+//! frames of a whole scan tell ([`DepthField`](crate::fusion::DepthField), [`RollingShutter`](crate::fusion::RollingShutter)). Pure:
+//! what is predicted of the frames is kept here as long as fusion holds them.
+
+mod carry;
+mod measured_white;
+mod predictions;
+mod revision;
+#[cfg(test)]
+mod tests;
+
+pub use measured_white::MeasuredWhite;
+pub use revision::Revised;
+
+use crate::{
+    fusion::{Fusion, FusionParams, GoesOn},
+    geometry::{CameraModel, Pose, RayGrid},
+    interreflection::WhiteLevel,
+    multipath::Multipath,
+    shading::Calibration,
+};
+use depth_camera::{CameraInfo, Frame, Image};
+use predictions::Predictions;
+use revision::Known;
+
+/// Corrects the depth of one scan.
+pub struct DepthCorrection {
+    info: CameraInfo,
+    rays: RayGrid,
+    fusion: FusionParams,
+    /// `None` for a sensor that suffers from none, or where it is not wanted.
+    multipath: Option<Multipath>,
+    /// The white level that frames are corrected for while the scan goes on; `None` before the first.
+    live: Option<WhiteLevel>,
+    /// The white level that revisions begin with, where another calibration was found since.
+    recalibrated: Option<WhiteLevel>,
+    /// Whether the device's calibration tells it.
+    is_measured: bool,
+    predictions: Predictions,
+}
+
+impl DepthCorrection {
+    /// A correction for a camera with its calibration, for a scan that is fused with `fusion`.
+    pub fn new(
+        info: &CameraInfo,
+        calibration: &Calibration,
+        has_multipath: bool,
+        fusion: &FusionParams,
+    ) -> Self {
+        let multipath = has_multipath.then(|| Multipath::new(info, calibration));
+        let measured = calibration.light.white_level;
+        DepthCorrection {
+            info: info.clone(),
+            rays: RayGrid::new(CameraModel::new(info.intrinsics)),
+            fusion: fusion.clone(),
+            multipath: multipath.flatten(),
+            live: measured.map(WhiteLevel),
+            recalibrated: None,
+            is_measured: measured.is_some(),
+            predictions: Predictions::default(),
+        }
+    }
+
+    /// A frame without its multipath; `None` if nothing can be predicted for it.
+    pub fn correct(&mut self, frame: &Frame) -> Option<Frame> {
+        let multipath = self.multipath.as_ref()?;
+        let prediction = multipath.predict(frame)?;
+        self.live.get_or_insert(prediction.plausible_white);
+        let depth = multipath.corrected(frame.depth.as_ref()?, &prediction.bias, None, self.live);
+        self.predictions.insert(frame.device_time_secs, prediction);
+        Some(Frame {
+            frame_id: frame.frame_id,
+            device_time_secs: frame.device_time_secs,
+            host_time: frame.host_time,
+            depth: Some(depth),
+            ir: frame.ir.clone(),
+        })
+    }
+
+    /// Goes on with another calibration, by which the scan is to be revised; frames that were corrected stay as they are.
+    pub fn recalibrate(&mut self, calibration: &Calibration, fusion: &Fusion) {
+        let by = Multipath::new(&self.info, calibration);
+        let (Some(before), Some(by)) = (&self.multipath, by) else {
+            return;
+        };
+        self.predictions.recalibrate(before, &by);
+        if self.is_measured {
+            self.recalibrated = calibration.light.white_level.map(WhiteLevel);
+        } else if let Some(first) = fusion.keyframes().first() {
+            let nearest = self.predictions.near(first.time_secs);
+            self.recalibrated =
+                nearest.and_then(|near| by.plausible_white(&first.depth_m(), near.prediction));
+        }
+        self.multipath = Some(by);
+    }
+
+    /// Forgets the predictions of frames that fusion does not hold any more.
+    pub fn thin_out(&mut self, fusion: &Fusion) {
+        self.predictions.thin_out(fusion);
+    }
+
+    /// Fuses a scan again as long as it tells of errors that were not taken off: multipath at least twice, for a model tells
+    /// the slant of the surface better than single frames do, and what was fused on one is a better one; after that its views tell
+    /// how strong it is. `None` if it stays as it is; as soon as `goes_on` says no, what was fused again in whole counts.
+    pub fn revise(&self, fusion: &Fusion, goes_on: &GoesOn) -> Option<Revised> {
+        self.settled(fusion, goes_on).revised
+    }
+
+    /// The depth (m) of a frame of the scan as it was corrected while the scan went on, corrected for what a revision knows;
+    /// `world_from_camera` is where the revision has it. Its rows stay as they were read: a Kinect I rests for a shading image.
+    pub fn revised_depth(
+        &self,
+        depth_m: &Image<f32>,
+        time_secs: f64,
+        world_from_camera: &Pose,
+        revised: &Revised,
+    ) -> Image<f32> {
+        let (model, known) = (&revised.fusion, &revised.known);
+        let depth = (depth_m, self.live);
+        self.anew(depth, time_secs, world_from_camera, model, known)
+    }
+
+    /// The white level by which a frame of the scan was corrected while the scan went on; none where it had no infrared image.
+    fn corrected_by(&self, time_secs: f64) -> Option<WhiteLevel> {
+        self.live.filter(|_| self.predictions.has(time_secs))
+    }
+
+    /// The depth (m) of a frame of the scan, corrected for what is known now instead of `by` a white level, on a model in which it was
+    /// taken from `world_from_camera`.
+    fn anew(
+        &self,
+        (depth_m, by): (&Image<f32>, Option<WhiteLevel>),
+        time_secs: f64,
+        world_from_camera: &Pose,
+        model: &Fusion,
+        known: &Known,
+    ) -> Image<f32> {
+        let nearest = self.predictions.near(time_secs);
+        let predicted = self.multipath.as_ref().zip(nearest);
+        let depth = predicted.map_or_else(
+            || depth_m.clone(),
+            |(multipath, nearest)| {
+                let bias = nearest.bias_on(model, multipath, depth_m, world_from_camera);
+                let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
+                multipath.corrected(&raw, &bias, None, known.white)
+            },
+        );
+        match &known.field {
+            Some(field) => field.corrected(&depth),
+            None => depth,
+        }
+    }
+}

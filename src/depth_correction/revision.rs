@@ -1,0 +1,221 @@
+//! A scan that is fused again with its depth corrected otherwise, as often as it then tells of errors that were not taken off.
+
+use super::DepthCorrection;
+use super::carry::Carry;
+use crate::{
+    fusion::{
+        DepthField, DepthNoise, Fusion, GoesOn, PoseCorrection, RollingShutter, TrackingOutcome,
+        Waypoint, Work, velocities,
+    },
+    geometry::{CameraModel, Motion},
+    interreflection::WhiteLevel,
+    multipath::{Evidence, WhiteSearch},
+};
+use depth_camera::Sensor;
+
+/// A scan fused again with its depth corrected otherwise.
+pub struct Revised {
+    /// The model.
+    pub fusion: Fusion,
+    /// How far every pose is moved, by time.
+    pub correction: PoseCorrection,
+    pub(super) known: Known,
+}
+
+/// What is taken off the depth of a scan.
+#[derive(Clone)]
+pub(super) struct Known {
+    /// `None` is no multipath.
+    pub(super) white: Option<WhiteLevel>,
+    /// `None` is no slow error.
+    pub(super) field: Option<DepthField>,
+    /// `None` is all rows at once.
+    pub(super) shutter: Option<RollingShutter>,
+}
+
+/// How far revising a scan came.
+pub(super) struct Settled {
+    pub(super) revised: Option<Revised>,
+    pub(super) search: Option<WhiteSearch>,
+    /// What the scan tells as it now is; `None` if that was not asked since it was fused last.
+    pub(super) evidence: Option<Evidence>,
+}
+
+/// The first so many revisions free depth of multipath on the model, whatever the views tell: the first model still shows what the
+/// live prediction left.
+const MODEL_ROUNDS: usize = 2;
+/// What a Kinect I gets wrong is asked for before the first so many revisions. After three, what the frames still show of it is noise:
+/// with a fourth the base mesh of `pot-k1` lies 0.40 mm off for 0.38.
+const FIELD_ROUNDS: usize = 3;
+/// A revision that loses more than this share of the frames is not used.
+const MAX_LOST_SHARE: f64 = 0.05;
+/// A field that changes by less, metres at a metre, is not worth fusing again.
+const MIN_FIELD_M: f64 = 1e-4;
+/// How far a frame whose rows are put right may lie from where it would by its motion since the one before: where tracking had slid
+/// along a far surface for want of a rigid image, it was off by 4 cm and 0.08 rad.
+pub(super) const SHUTTER_REACH: Motion = Motion {
+    rotation_rad: 0.15,
+    translation_m: 0.08,
+};
+
+impl DepthCorrection {
+    /// Revises a scan until it tells of no more, or `goes_on` says no.
+    pub(super) fn settled(&self, fusion: &Fusion, goes_on: &GoesOn) -> Settled {
+        let start = self.recalibrated.or(self.live);
+        let mut search = start.map(WhiteSearch::from);
+        let mut revised: Option<Revised> = None;
+        let mut told = None;
+        // Without memory for them no frames are kept; and a white level may be known of a sensor whose depth is not freed of multipath.
+        let can_be_fused = !fusion.keyframes().is_empty();
+        let has_multipath = self.multipath.is_some() && self.live.is_some() && can_be_fused;
+        for round in 0..self.fusion.max_revisions {
+            let work = Work::CorrectDepth(round + 1);
+            if !goes_on(work.at(0, fusion.keyframes().len())) {
+                break;
+            }
+            let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
+            let mut known = revised.as_ref().map_or_else(
+                || Known {
+                    white: start,
+                    field: None,
+                    shutter: None,
+                },
+                |revised| revised.known.clone(),
+            );
+            let mut has_more = has_multipath && round < MODEL_ROUNDS;
+            let asks_field = round < FIELD_ROUNDS;
+            if let Some(shown) = asks_field.then(|| self.field(current)).flatten() {
+                has_more = true;
+                let further = shown.in_full();
+                known.field = Some(match &known.field {
+                    Some(before) => before.plus(&further),
+                    None => further,
+                });
+            }
+            if let Some(further) = asks_field.then(|| self.shutter(current)).flatten() {
+                has_more = true;
+                known.shutter = Some(
+                    known
+                        .shutter
+                        .map_or(further, |before| before.plus(&further)),
+                );
+            }
+            if revised.is_some() {
+                told = self.evidence(current, known.white);
+                if let Some((evidence, search)) = told.zip(search.as_mut()) {
+                    let next = search.next(known.white, evidence);
+                    has_more |= !next.will_do;
+                    known.white = next.white;
+                }
+            }
+            if !has_more {
+                break;
+            }
+            match self.fuse_again(fusion, revised.as_ref(), known, work, goes_on) {
+                Some(again) => (revised, told) = (Some(again), None),
+                None => break,
+            }
+        }
+        Settled {
+            revised,
+            search,
+            evidence: told,
+        }
+    }
+
+    /// The sensor's slow error that the frames of a scan still show.
+    fn field(&self, fusion: &Fusion) -> Option<DepthField> {
+        let is_wanted = self.fusion.depth_field && self.info.sensor == Sensor::Kinect1;
+        let field = is_wanted.then(|| fusion.depth_field(&self.rays));
+        field.flatten().filter(|field| field.rms() > MIN_FIELD_M)
+    }
+
+    /// How long the sensor takes to read its rows, as far as the frames of a scan still show it.
+    fn shutter(&self, fusion: &Fusion) -> Option<RollingShutter> {
+        let is_wanted = self.fusion.rolling_shutter && self.info.sensor == Sensor::Kinect1;
+        is_wanted
+            .then(|| fusion.rolling_shutter(&self.rays))
+            .flatten()
+    }
+
+    /// Fuses all frames again, near where they lie by now, with what is known taken off; `None` if too many are lost that way, or
+    /// it shall not go on.
+    fn fuse_again(
+        &self,
+        original: &Fusion,
+        revised: Option<&Revised>,
+        known: Known,
+        work: Work,
+        goes_on: &GoesOn,
+    ) -> Option<Revised> {
+        let model = revised.map_or(original, |revised| &revised.fusion);
+        let camera = CameraModel::new(self.info.intrinsics);
+        let noise = DepthNoise::of_sensor(self.info.sensor);
+        let mut fusion = Fusion::new(camera, noise, self.fusion.clone());
+        let mut knots = Vec::new();
+        let mut n_lost = 0;
+        let frames = original.keyframes();
+        let path: Vec<Waypoint> = frames
+            .iter()
+            .map(|frame| {
+                let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
+                let here = revised.map_or(*tracked, |revised| {
+                    revised.correction.apply(time_secs, tracked)
+                });
+                Waypoint::of(frame, here)
+            })
+            .collect();
+        let velocities = velocities(&path);
+        let is_given = original.is_at_given_poses();
+        let reach = known.shutter.filter(|_| !is_given).map(|_| SHUTTER_REACH);
+        let mut carry = Carry::default();
+        for (n_done, (frame, velocity)) in frames.iter().zip(&velocities).enumerate() {
+            if !goes_on(work.at(n_done, frames.len())) {
+                return None;
+            }
+            let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
+            let before = path[n_done].world_from_camera;
+            let seen = (&frame.depth_m(), self.corrected_by(time_secs));
+            let mut depth = self.anew(seen, time_secs, &before, model, &known);
+            if let Some(shutter) = &known.shutter {
+                depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
+            }
+            let here = carry.to(frame.stretch, &before) * before;
+            let outcome = match is_given && !self.fusion.polish.enabled {
+                true => fusion.fuse_anew_at(&depth, frame, &here),
+                false => fusion.fuse_anew(&depth, frame, &here, reach),
+            };
+            let TrackingOutcome::Tracked {
+                world_from_camera,
+                fit,
+            } = outcome
+            else {
+                n_lost += 1;
+                continue;
+            };
+            n_lost += usize::from(fit.is_none() && !knots.is_empty() && !is_given);
+            if reach.is_some() {
+                carry.note(frame.stretch, before, &world_from_camera);
+            }
+            knots.push((time_secs, world_from_camera * tracked.inverse()));
+        }
+        if n_lost as f64 > MAX_LOST_SHARE * frames.len() as f64 {
+            tracing::warn!(
+                n_lost,
+                "fused again with its depth corrected, the scan loses its track, and stays as it was"
+            );
+            return None;
+        }
+        tracing::info!(
+            white_level = known.white.map(|white| white.0),
+            field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
+            readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),
+            "fused again with its depth corrected"
+        );
+        Some(Revised {
+            fusion,
+            correction: PoseCorrection::of_knots(knots),
+            known,
+        })
+    }
+}
