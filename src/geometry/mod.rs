@@ -4,6 +4,7 @@
 //! Frames of reference: `world` (first camera pose), `camera` (IR camera: x right, y down, z forward), `light`,
 //! and `pixel` (u right, v down, centres at integers). Transforms are `target_from_source` and chain by adjacent names.
 
+mod bilinear;
 mod bvh;
 pub(crate) mod camera;
 mod cells;
@@ -21,9 +22,11 @@ mod point_grid;
 mod pose;
 mod rasterise;
 mod rigid;
+mod tangents;
 mod triangle;
 mod watertight;
 
+pub use bilinear::{Bilinear, bilinear};
 pub use bvh::{ClosestPoint, TriangleBvh};
 pub use camera::{CameraModel, RayGrid};
 pub use cells::CellGrid;
@@ -42,4 +45,5 @@ pub use pose::{
 };
 pub use rasterise::{DepthBuffer, rasterise};
 pub use rigid::Rigid;
+pub use tangents::tangents;
 pub use watertight::{Watertight, close_holes};

@@ -26,6 +26,14 @@ impl Plane {
         }
     }
 
+    /// Where the ray (X/Z, Y/Z) from the origin meets the plane's front; `None` where it does not.
+    pub fn met_by(&self, [x, y]: [f64; 2]) -> Option<Point3<f64>> {
+        let direction = Vector3::new(x, y, 1.0);
+        let slope = self.normal.dot(&direction);
+        let is_met = slope < -1e-6 && self.offset_m < 0.0;
+        is_met.then(|| Point3::from(direction * (self.offset_m / slope)))
+    }
+
     /// Signed height of a point above the plane, metres.
     pub fn height_m(&self, point: &Point3<f64>) -> f64 {
         self.normal.dot(&point.coords) - self.offset_m
@@ -40,6 +48,21 @@ impl Plane {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rays_meet_the_front_of_a_plane() {
+        let plane = Plane::through(&Point3::new(0.0, 0.0, 2.0), -Vector3::z());
+        assert_eq!(
+            plane.met_by([0.5, -0.25]),
+            Some(Point3::new(1.0, -0.5, 2.0))
+        );
+        let turned_away = Plane::through(&Point3::new(0.0, 0.0, 2.0), Vector3::z());
+        assert_eq!(turned_away.met_by([0.5, -0.25]), None);
+        let behind = Plane::through(&Point3::new(0.0, 0.0, -2.0), -Vector3::z());
+        assert_eq!(behind.met_by([0.5, -0.25]), None);
+        let along = Plane::through(&Point3::new(0.0, 1.0, 2.0), -Vector3::y());
+        assert_eq!(along.met_by([0.5, 0.0]), None);
+    }
 
     #[test]
     fn a_plane_holds_what_lies_near_it_and_faces_as_it_does() {

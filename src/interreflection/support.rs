@@ -4,7 +4,7 @@
 //! Without it the recorded bust and sphere keep 1.3 and 1.0 mm of error wherever they see the table at all.
 
 use super::patches::{Lit, PatchGrid};
-use crate::geometry::Plane;
+use crate::geometry::{Plane, tangents};
 use crate::robust::median;
 use nalgebra::{Point3, Vector3};
 
@@ -17,10 +17,11 @@ const SQUARE_M: f64 = 0.04;
 
 /// Squares of the plane that most patches lie on, as bright as its visible part, where the image does not show it.
 pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
-    let Some(support) = Support::of_most(patches) else {
+    let support = Support::of_most(patches);
+    let support = support.and_then(|support| Some((tangents(&support.normal)?, support)));
+    let Some(([along, across], support)) = support else {
         return Vec::new();
     };
-    let [along, across] = directions_in(&support.normal);
     let n_half = (REACH_M / SQUARE_M) as i32;
     let offsets = (-n_half..n_half).map(|k| (f64::from(k) + 0.5) * SQUARE_M);
     let squares = offsets
@@ -42,15 +43,6 @@ pub fn beyond_the_image(patches: &[Option<Lit>], grid: &PatchGrid) -> Vec<Lit> {
             Some(Lit { radiance, ..square })
         })
         .collect()
-}
-
-/// Two unit vectors across a normal and across one another.
-fn directions_in(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let axis = Vector3::ith(normal.iamin(), 1.0);
-    let along = normal.cross(&axis);
-    // The axis is that which the normal has least of, so that they are never parallel.
-    let along = along / along.norm();
-    [along, normal.cross(&along)]
 }
 
 /// What things stand on, camera frame.

@@ -1,11 +1,9 @@
 //! Which displacements meet in the normal matrix: those of every edge of the mesh, and those of every two vertices that
 //! stand for the same patch.
 
-use super::energy::in_tiles;
 use super::patches::Patch;
 use crate::geometry::{EdgeAdjacency, Lists, TriMesh};
 use rayon::prelude::*;
-use std::iter::Sum;
 
 /// The off-diagonal entries of the normal matrix and where each term finds its own.
 #[derive(Clone, Debug)]
@@ -38,12 +36,6 @@ impl VertexCorners {
     pub fn of(&self, vertex: usize) -> impl Iterator<Item = [usize; 2]> {
         let corners = self.0.of(vertex).iter();
         corners.map(|&corner| [corner as usize / 3, corner as usize % 3])
-    }
-
-    /// Sums of a value of each face over the faces around each vertex, in the order of the faces.
-    pub fn sums<T: Sum + Send>(&self, of_face: impl Fn(usize) -> T + Sync) -> Vec<T> {
-        let sum = |vertex| self.of(vertex).map(|[face, _]| of_face(face)).sum();
-        in_tiles(self.0.len()).map(sum).collect()
     }
 }
 

@@ -269,9 +269,8 @@ impl Problem<'_> {
                 matrix
             }
             SiteKind::Vertex => {
-                let corners = &couplings.corners;
                 let (mut matrix, system) = rayon::join(of_priors, || {
-                    VertexSystem::new(self, surface, (albedos, tints), corners)
+                    VertexSystem::new(self, surface, (albedos, tints))
                 });
                 system.add_bound(self, couplings, &mut matrix);
                 matrix.at_vertices = Some(system);

@@ -17,6 +17,7 @@ use super::rounds::{Rounds, State, final_loss};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
 use super::tint::Tint;
+use crate::geometry::tangents;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -161,15 +162,10 @@ impl Rounds<'_> {
 
 /// The smaller eigenvalue of the information within the plane across a normal.
 fn worst_known(information: &Matrix3<f64>, normal: &Vector3<f64>) -> f64 {
-    let aside = if normal.x.abs() < 0.6 {
-        Vector3::x()
-    } else {
-        Vector3::y()
-    };
-    let Some(first) = normal.cross(&aside).try_normalize(0.0) else {
+    let Some(axes) = tangents(normal) else {
         return 0.0;
     };
-    let plane = Matrix2x3::from_rows(&[first.transpose(), normal.cross(&first).transpose()]);
+    let plane = Matrix2x3::from_rows(&axes.map(|axis| axis.transpose()));
     let within: Matrix2<f64> = plane * information * plane.transpose();
     let (mean, half) = (0.5 * within.trace(), 0.5 * (within.m11 - within.m22));
     (mean - half.hypot(within.m12)).max(0.0)

@@ -5,6 +5,7 @@
 //! the depth sensor's own slow error. The field takes such differences up, so that shading decides the detail and the anchor
 //! the slow shape. It is estimated in turn with the displacements, from observed over predicted intensity.
 
+use crate::geometry::Bilinear;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::Vector2;
 
@@ -37,8 +38,7 @@ impl GainField {
     /// Gain at a pixel inside the image.
     pub fn at(&self, pixel: &Vector2<f64>) -> f64 {
         self.corners(pixel)
-            .iter()
-            .map(|&(corner, weight)| weight * self.values[corner])
+            .map(|(corner, share)| share * self.values[corner])
             .sum()
     }
 
@@ -65,18 +65,10 @@ impl GainField {
         gain
     }
 
-    /// The four corners of a pixel's cell and their bilinear weights.
-    fn corners(&self, pixel: &Vector2<f64>) -> [(usize, f64); 4] {
-        let (x, y) = (pixel.x / self.cell_px, pixel.y / self.cell_px);
-        let (column, row) = (x as usize, y as usize);
-        let (fx, fy) = (x - column as f64, y - row as f64);
-        let first = row * self.columns + column;
-        [
-            (first, (1.0 - fx) * (1.0 - fy)),
-            (first + 1, fx * (1.0 - fy)),
-            (first + self.columns, (1.0 - fx) * fy),
-            (first + self.columns + 1, fx * fy),
-        ]
+    /// The four corners of a pixel's cell and their shares of 1.
+    fn corners(&self, pixel: &Vector2<f64>) -> impl Iterator<Item = (usize, f64)> {
+        let place = Bilinear::new(&(pixel / self.cell_px), self.columns);
+        place.corners.into_iter().zip(place.shares())
     }
 
     /// Empty sums for a field of the same grid.

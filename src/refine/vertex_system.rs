@@ -12,7 +12,7 @@ use super::couplings::{Couplings, VertexCorners};
 use super::energy::{NormalMatrix, Problem, Site, TILE, in_tiles};
 use super::surface::{Surface, area_vector_by_displacement};
 use super::tint::Tint;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3, Vector4};
 use rayon::prelude::*;
 
 /// What is known of the data term about a surface.
@@ -65,7 +65,6 @@ impl VertexSystem {
         problem: &Problem,
         surface: &Surface,
         (albedos, tints): (&[f64], &[Option<Tint>]),
-        corners: &VertexCorners,
     ) -> VertexSystem {
         let mesh = &surface.mesh;
         let n_vertices = mesh.vertices.len();
@@ -75,17 +74,18 @@ impl VertexSystem {
         let sizes: Vec<f64> = normals.par_iter().map(Vector3::norm).collect();
         let least = MIN_SIZE * sizes.iter().sum::<f64>() / n_faces.max(1) as f64;
         let sizes: Vec<f64> = sizes.into_iter().map(|size| size.max(least)).collect();
-        let along = corners.sums(|face| normals[face]);
-        let rings = corners.sums(|face| sizes[face]);
+        // Of the faces round each vertex: their area vectors, and their sizes.
+        let rings = mesh.sums_at_vertices(Vector4::zeros(), |face| normals[face].push(sizes[face]));
         let vertices = in_tiles(n_vertices);
         let terms = vertices.map(|vertex| {
+            let (along, size) = (rings[vertex].xyz(), rings[vertex].w);
             let is_seen = !problem.observations.of(vertex).is_empty();
-            let normal = along[vertex].try_normalize(0.0).filter(|_| is_seen);
+            let normal = along.try_normalize(0.0).filter(|_| is_seen);
             normal.map_or(Terms::default(), |normal| {
-                let per_turn = rings[vertex] / along[vertex].norm();
+                let per_turn = size / along.norm();
                 let site = problem.site(surface, albedos, (vertex, normal), tints[vertex]);
                 Terms {
-                    inv_size: 1.0 / rings[vertex],
+                    inv_size: 1.0 / size,
                     ..Terms::new(problem, &site, per_turn)
                 }
             })
@@ -224,7 +224,7 @@ impl Terms {
             by_normal.push(seen.by_motion(site.albedo))
         });
         let turn = (Matrix3::identity() - normal * normal.transpose()) * per_turn;
-        let change = |by: &nalgebra::Vector4<f64>| Change {
+        let change = |by: &Vector4<f64>| Change {
             normal: turn * by.xyz(),
             displacement: by.w,
         };

@@ -1,8 +1,10 @@
 //! From observed IR to linear intensity: the response and the flat field removed, the pixel's own blur undone.
 
 use super::Calibration;
+use crate::geometry::Bilinear;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use depth_camera::Image;
+use nalgebra::Vector2;
 
 /// From this share of full scale a pixel counts as saturated. Where exposures or finer pixels are averaged, one that was clipped in
 /// most of them comes out a little below full scale.
@@ -90,36 +92,17 @@ pub fn sharpen(image: &Image<f32>) -> Image<f32> {
 }
 
 impl LinearImage {
-    /// Whether none of the pixels between which a place lies is missing.
-    #[inline]
-    pub fn has(&self, u: f64, v: f64) -> bool {
-        let (width, height) = (self.value.width(), self.value.height());
-        if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
-            return false;
-        }
-        let first = v as usize * width + u as usize;
-        let corners = [first, first + 1, first + width, first + width + 1];
-        corners.iter().all(|&at| !self.value.data()[at].is_nan())
-    }
-
     /// Value, its gradient (per pixel) and its sigma between pixels, bilinear; `None` where a pixel is missing.
     #[inline]
     pub fn sample(&self, u: f64, v: f64) -> Option<(f64, [f64; 2], f64)> {
-        if !self.has(u, v) {
+        let place = Bilinear::within(&self.value, &Vector2::new(u, v))?;
+        let corners = place.corners.map(|at| f64::from(self.value.data()[at]));
+        if corners.iter().any(|value| value.is_nan()) {
             return None;
         }
-        let width = self.value.width();
-        let (u0, v0) = (u as usize, v as usize);
-        let (fu, fv) = (u - u0 as f64, v - v0 as f64);
-        let first = v0 * width + u0;
-        let data = self.value.data();
-        let [a, b, c, d] =
-            [first, first + 1, first + width, first + width + 1].map(|i| data[i] as f64);
-        let (top, bottom) = (a + (b - a) * fu, c + (d - c) * fu);
-        let value = top + (bottom - top) * fv;
-        let gradient = [(b - a) + ((d - c) - (b - a)) * fv, bottom - top];
-        let nearest = (v + 0.5) as usize * width + (u + 0.5) as usize;
-        Some((value, gradient, self.sigma.data()[nearest] as f64))
+        let (value, gradient) = place.between(corners);
+        let sigma = *self.sigma.at((u + 0.5) as usize, (v + 0.5) as usize);
+        Some((value, gradient, f64::from(sigma)))
     }
 }
 

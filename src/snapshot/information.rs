@@ -8,6 +8,7 @@
 
 use super::ShadingSnapshot;
 use crate::fusion::ModelMap;
+use crate::geometry::tangents;
 use crate::shading::SATURATION;
 use depth_camera::CameraInfo;
 use nalgebra::{Matrix2, Matrix3, Point3, Vector3};
@@ -141,9 +142,7 @@ impl Information {
     /// The tilt that is known least, as a unit vector in a patch's plane, and how well it is known; `None` where the plane
     /// is none. Where nothing is known all tilts are alike, and it is any.
     pub(super) fn least_tilt(&self, normal: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
-        let least_axis = Vector3::ith(normal.iamin(), 1.0);
-        let first = normal.cross(&least_axis).try_normalize(0.0)?;
-        let second = normal.cross(&first).try_normalize(0.0)?;
+        let [first, second] = tangents(normal)?;
         let matrix = self.matrix();
         let between = |a: &Vector3<f64>, b: &Vector3<f64>| a.dot(&(matrix * b));
         let in_plane = Matrix2::new(

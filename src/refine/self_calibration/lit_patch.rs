@@ -1,6 +1,6 @@
 //! Patches of the surface as the views see them, integrated, so that only their rims count.
 
-use crate::geometry::cell_of;
+use crate::geometry::{cell_of, tangents};
 use crate::refine::albedo::first_of_most;
 use crate::refine::gaze::Gaze;
 use crate::refine::optics::Optics;
@@ -89,10 +89,7 @@ impl LitPatch {
         let area_m2: f64 = facets.iter().map(|(_, _, area)| area).sum();
         let mean: Vector3<f64> = facets.iter().map(|(_, normal, area)| normal * *area).sum();
         let mean = mean.try_normalize(0.0)?;
-        let first = mean
-            .cross(&Vector3::ith(mean.iamin(), 1.0))
-            .try_normalize(0.0)?;
-        let tilts = [first, mean.cross(&first)];
+        let tilts = tangents(&mean)?;
         let readings = views.iter().enumerate().filter_map(|(index, view)| {
             let seen = facets.iter().copied();
             let seen = seen.filter(|(face, ..)| sites.visible[*face] >> index & 1 == 1);
