@@ -6,7 +6,7 @@
 
 use super::preprocess::DepthRange;
 use super::pyramid::{Level, lane};
-use super::sampling::Samples;
+use super::sampling::{Met, Samples, Walk};
 use super::sight::Sight;
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::{LANES, Lane};
@@ -344,19 +344,20 @@ impl<'a> Caster<'a> {
         let voxel_step = self.volume.voxel_size_m() / direction.norm();
         let mut z = range.near_m;
         let mut last: Option<(f32, f32)> = None;
+        let mut walk = Walk::from(self.volume, &self.at(direction, z));
         while z < range.far_m {
-            let point = self.at(direction, z);
-            let seen = self.volume.seen_at(&point);
-            let sample = (seen == Some(true)).then(|| self.volume.sample_with_gradient(&point));
-            let Some((distance, _)) = sample.flatten() else {
-                last = None;
-                // Half a block's side at once where there is no block.
-                z += if seen.is_none() {
-                    4.0 * voxel_step
-                } else {
-                    voxel_step
-                };
-                continue;
+            let distance = match walk.at(&self.at(direction, z)) {
+                Met::Distance(distance) => distance,
+                unknown => {
+                    last = None;
+                    // Half a block's side at once where there is no block.
+                    z += if unknown == Met::Nothing {
+                        4.0 * voxel_step
+                    } else {
+                        voxel_step
+                    };
+                    continue;
+                }
             };
             if distance <= 0.0 {
                 let (z_front, front) = last?;

@@ -1,6 +1,6 @@
 //! Samples of the volume by trilinear interpolation, one by one or of many points together.
 
-use super::block::{BLOCK_VOXELS, TSDF_ONE, UNSEEN, index_parts, voxel_index};
+use super::block::{BLOCK_VOXELS, BlockCoord, TSDF_ONE, UNSEEN, index_parts, voxel_index};
 use super::volume::TsdfVolume;
 use crate::geometry::lanes::{LANES, Lane, floor};
 use nalgebra::Vector3;
@@ -37,14 +37,6 @@ impl TsdfVolume {
         }
         let (distance, gradient) = self.interpolate(&corners.map(f32::from), fraction);
         Some((distance, Vector3::from(gradient)))
-    }
-
-    /// Whether the voxel at the low corner of a point's cell was seen, without which there is no sample; `None` where there is no block.
-    #[inline]
-    pub fn seen_at(&self, point: &Vector3<f32>) -> Option<bool> {
-        let (voxel, _) = self.place([point.x, point.y, point.z]);
-        let block = &self.blocks()[self.find(voxel.map(|i| i >> 3))?];
-        Some(block.tsdf[voxel_index(voxel) % BLOCK_VOXELS] != UNSEEN)
     }
 
     /// [`Self::sample_with_gradient`] at the `wanted` ones of many points, to the bit.
@@ -123,11 +115,17 @@ impl TsdfVolume {
     /// The raw distances of the eight voxels from `voxel` on, x fastest; `None` where there is no block.
     #[inline(always)]
     fn corners(&self, voxel: [i32; 3]) -> Option<[i16; 8]> {
-        let local = voxel.map(|i| i & 7);
-        if local.contains(&7) {
+        if voxel.iter().any(|i| i & 7 == 7) {
             return self.corners_of_several(voxel);
         }
-        let tsdf = &self.blocks()[self.find(voxel.map(|i| i >> 3))?].tsdf;
+        Some(self.corners_within(self.find(voxel.map(|i| i >> 3))?, voxel))
+    }
+
+    /// The same where all of them lie in one block.
+    #[inline(always)]
+    fn corners_within(&self, block: usize, voxel: [i32; 3]) -> [i16; 8] {
+        let local = voxel.map(|i| i & 7);
+        let tsdf = &self.blocks()[block].tsdf;
         let (low, high) = (index_parts(local), index_parts(local.map(|i| (i + 1) & 7)));
         let at = |x: usize, y: usize, z: usize| tsdf[(x | y | z) % BLOCK_VOXELS];
         let row = |y: usize, z: usize| [at(low[0], y, z), at(high[0], y, z)];
@@ -135,7 +133,7 @@ impl TsdfVolume {
         let [c010, c110] = row(high[1], low[2]);
         let [c001, c101] = row(low[1], high[2]);
         let [c011, c111] = row(high[1], high[2]);
-        Some([c000, c100, c010, c110, c001, c101, c011, c111])
+        [c000, c100, c010, c110, c001, c101, c011, c111]
     }
 
     /// The same where the voxels lie in two, four or eight blocks; each block is looked up once.
@@ -163,6 +161,62 @@ impl TsdfVolume {
             self.blocks()[blocks[side & across]].tsdf[index % BLOCK_VOXELS]
         });
         Some(corners)
+    }
+}
+
+/// What a ray meets at one of its points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Met {
+    /// A signed distance, metres.
+    Distance(f32),
+    /// A block, but not all eight voxels around the point were seen.
+    Unseen,
+    /// No block.
+    Nothing,
+}
+
+/// Asks for distances along a ray, most of whose steps stay in the block they are in: that one is looked up once.
+pub struct Walk<'a> {
+    volume: &'a TsdfVolume,
+    /// Where the ray last was, and the block there.
+    last: (BlockCoord, Option<usize>),
+}
+
+impl<'a> Walk<'a> {
+    /// A ray that begins at a point.
+    pub fn from(volume: &'a TsdfVolume, start: &Vector3<f32>) -> Self {
+        let (voxel, _) = volume.place([start.x, start.y, start.z]);
+        let coord = voxel.map(|i| i >> 3);
+        Walk {
+            volume,
+            last: (coord, volume.find(coord)),
+        }
+    }
+
+    /// What is at a point; distances are those of [`TsdfVolume::sample_with_gradient`], to the bit.
+    #[inline]
+    pub fn at(&mut self, point: &Vector3<f32>) -> Met {
+        let (voxel, fraction) = self.volume.place([point.x, point.y, point.z]);
+        let coord = voxel.map(|i| i >> 3);
+        if coord != self.last.0 {
+            self.last = (coord, self.volume.find(coord));
+        }
+        let Some(block) = self.last.1 else {
+            return Met::Nothing;
+        };
+        if self.volume.blocks()[block].tsdf[voxel_index(voxel) % BLOCK_VOXELS] == UNSEEN {
+            return Met::Unseen;
+        }
+        let corners = if voxel.iter().any(|i| i & 7 == 7) {
+            self.volume.corners_of_several(voxel)
+        } else {
+            Some(self.volume.corners_within(block, voxel))
+        };
+        let Some(corners) = corners.filter(|corners| !corners.contains(&UNSEEN)) else {
+            return Met::Unseen;
+        };
+        let (distance, _) = self.volume.interpolate(&corners.map(f32::from), fraction);
+        Met::Distance(distance)
     }
 }
 
@@ -237,5 +291,50 @@ pub(super) mod tests {
             }
         }
         assert!(n_known > 1000 && n_unknown > 1000, "{n_known} {n_unknown}");
+    }
+
+    #[test]
+    fn a_walk_meets_what_samples_tell_one_by_one() {
+        let mut volume = volume_of(0.02, |x, y, z| 0.8 * x - 0.3 * y + (z * 90.0).sin() * 0.01);
+        let (coords, blocks) = volume.blocks_mut();
+        for (coord, block) in coords.iter().zip(blocks) {
+            for (number, tsdf) in block.tsdf.iter_mut().enumerate() {
+                // Single voxels of some blocks, and other blocks whole.
+                let is_unseen = match coord[0] {
+                    -2 => number.is_multiple_of(37),
+                    x => x == 1,
+                };
+                if is_unseen {
+                    *tsdf = UNSEEN;
+                }
+            }
+        }
+        let [mut n_known, mut n_known_across, mut n_unseen, mut n_nothing] = [0; 4];
+        for number in 0..40 {
+            // Through all blocks from one side to the other, and beyond them; 0.3 mm a step.
+            let aside = |k: i32| (number * k % 40 - 20) as f32 * 0.002;
+            let start = Vector3::new(-0.06, aside(7), aside(11));
+            let end = Vector3::new(0.06, aside(13), aside(17));
+            let mut walk = Walk::from(&volume, &start);
+            for step in 0..400 {
+                let point = start + (end - start) * (step as f32 / 400.0);
+                let (voxel, _) = volume.place(point.into());
+                let expected = match volume.sample_with_gradient(&point) {
+                    Some((distance, _)) => Met::Distance(distance),
+                    None if volume.find(voxel.map(|i| i >> 3)).is_some() => Met::Unseen,
+                    None => Met::Nothing,
+                };
+                assert_eq!(walk.at(&point), expected, "{point}");
+                let is_across = voxel.iter().any(|i| i & 7 == 7);
+                match expected {
+                    Met::Distance(_) if is_across => n_known_across += 1,
+                    Met::Distance(_) => n_known += 1,
+                    Met::Unseen => n_unseen += 1,
+                    Met::Nothing => n_nothing += 1,
+                }
+            }
+        }
+        let met = [n_known, n_known_across, n_unseen, n_nothing];
+        assert!(met.iter().all(|&n| n > 1000), "{met:?}");
     }
 }
