@@ -11,7 +11,7 @@ pub const INTERVAL_SIGMAS: f64 = 1.96;
 pub struct Measured {
     /// The value.
     pub value: f64,
-    /// Its standard deviation.
+    /// Its standard deviation; infinite where nothing tells the value.
     pub sigma: f64,
 }
 
@@ -29,6 +29,8 @@ pub struct Estimate {
     pub state: State,
     /// Their covariance, robust to residuals that are correlated within tiles of an image.
     pub covariance: DMatrix<f64>,
+    /// Of each unknown: whether anything tells it, and its part of the covariance says how well.
+    pub is_told: Vec<bool>,
     /// Of each session: robust deviation of log intensity from the model, and share of the samples that are outliers.
     pub fits: Vec<SessionFit>,
     /// Whether a wall measured the flat field.
@@ -85,12 +87,15 @@ impl Estimate {
         for (index, weight) in map.grid.weights(0.0, 0.0) {
             weights[start + index] -= weight;
         }
+        let mut touched = weights.iter().zip(&self.is_told);
+        let variance = match touched.all(|(weight, is_told)| *weight == 0.0 || *is_told) {
+            true => weights.dot(&(&self.covariance * &weights)),
+            false => f64::INFINITY,
+        };
         Measured {
             value: map.log_factor(x, y) - map.log_factor(0.0, 0.0)
                 + self.state.light.lobe_power * log_cosine,
-            sigma: (weights.dot(&(&self.covariance * &weights)))
-                .max(0.0)
-                .sqrt(),
+            sigma: variance.max(0.0).sqrt(),
         }
     }
 
@@ -110,9 +115,13 @@ impl Estimate {
     }
 
     fn measured(&self, index: usize, value: f64) -> Measured {
+        let variance = match self.is_told[index] {
+            true => self.covariance[(index, index)],
+            false => f64::INFINITY,
+        };
         Measured {
             value,
-            sigma: self.covariance[(index, index)].max(0.0).sqrt(),
+            sigma: variance.max(0.0).sqrt(),
         }
     }
 }

@@ -1,11 +1,12 @@
 //! From a stream of frames to the images that a calibration needs: of a wall, or of a sphere.
 
+use super::ball::{Sightings, are_alike, ball_before};
 use super::lit_images::LitImages;
-use super::plane::{Plane, dominant_plane};
+use super::plane::{DominantPlane, dominant_plane};
 use super::refusal::Refusal;
 use super::sphere::{BallRadius, FoundSphere, MIN_COVERAGE, best_sphere};
 use crate::fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome};
-use crate::geometry::{CameraModel, RayGrid};
+use crate::geometry::{CameraModel, Plane, Pose, RayGrid};
 use crate::robust::median;
 use crate::shading::{SATURATION, without_ambient};
 use crate::snapshot::{HeldPose, ShadingSnapshot, TrackedFrame};
@@ -116,18 +117,23 @@ const MIN_VALID_SHARE: f64 = 0.05;
 
 /// Takes the frames of one session in.
 ///
-/// A ball on a table may leave a plane as much of the depth as a wall has, so that a frame does not tell which of the two it shows. The
-/// images are taken for both until all frames are seen: then it is a sphere if the frames fused show one, else a wall if most are planes.
+/// A ball on a table may leave a plane as much of the depth as a wall has, and before a camera that moves the frames fused do not show
+/// it. The images are taken for all that they may show until all frames are seen. Where a plane fills most of them it is a sphere if
+/// they show one, each by itself; else it is one if the frames fused do; else a wall if most are planes.
 pub struct Gatherer {
     rays: RayGrid,
     noise: DepthNoise,
     fusion: Fusion,
     /// The images if it is a wall: the camera is seen to be where the wall is.
     of_wall: LitImages,
-    /// The images if it is a sphere: the camera is tracked.
+    /// The images if it is a ball on a plane that fills them: the camera is seen to be where the ball is.
+    of_ball: LitImages,
+    /// The images if it is another sphere: the camera is tracked.
     of_sphere: LitImages,
     /// Share of the depth on a plane, frame by frame.
     plane_shares: Vec<f64>,
+    /// Of the frames that a plane fills.
+    sightings: Sightings,
 }
 
 impl Gatherer {
@@ -141,22 +147,30 @@ impl Gatherer {
         };
         Some(Gatherer {
             of_wall: LitImages::new(info, HeldPose::BetweenUnlessLate)?,
+            of_ball: LitImages::new(info, HeldPose::BetweenOrBefore)?,
             of_sphere: LitImages::new(info, HeldPose::BetweenOrBefore)?,
             rays: RayGrid::new(camera),
             noise,
             fusion: Fusion::new(camera, noise, fusion),
             plane_shares: Vec::new(),
+            sightings: Sightings::default(),
         })
     }
 
     /// Takes in the next frame.
     pub fn observe(&mut self, frame: &Frame) {
-        let Located { on_wall, in_model } = self.locate(frame);
-        self.of_wall.observe(&TrackedFrame {
-            frame,
-            outcome: &on_wall,
-            model: None,
-        });
+        let Located {
+            on_wall,
+            by_ball,
+            in_model,
+        } = self.locate(frame);
+        for (images, outcome) in [(&mut self.of_wall, on_wall), (&mut self.of_ball, by_ball)] {
+            images.observe(&TrackedFrame {
+                frame,
+                outcome: &outcome,
+                model: None,
+            });
+        }
         self.of_sphere.observe(&TrackedFrame {
             frame,
             outcome: &in_model,
@@ -173,23 +187,27 @@ impl Gatherer {
         let Some(plane) = median(&mut self.plane_shares) else {
             return Err(Refusal::NoDepth { session });
         };
-        let sphere = best_sphere(&self.fusion.mesh(), radius);
+        let is_plane = plane >= WALL_SHARE;
+        let ball = self.sightings.agreed(radius).filter(|_| is_plane);
+        let fused = || best_sphere(&self.fusion.mesh(), radius);
+        let sphere = ball.or_else(fused);
         let shares = Shares {
             plane,
             sphere: sphere.map_or(0.0, |sphere| sphere.coverage),
         };
-        let (target, selection) = match sphere {
-            Some(sphere) if sphere.coverage >= MIN_COVERAGE => {
-                (Target::Sphere(sphere), self.of_sphere.finish())
+        let (shown, selection) = match (ball, sphere) {
+            (Some(ball), _) => (Shown::Ball(ball), self.of_ball.finish()),
+            (None, Some(sphere)) if sphere.coverage >= MIN_COVERAGE => {
+                (Shown::Fused(sphere), self.of_sphere.finish())
             }
-            _ if plane >= WALL_SHARE => (Target::Wall, self.of_wall.finish()),
+            _ if is_plane => (Shown::Wall, self.of_wall.finish()),
             _ => return Err(Refusal::NoSphere { session, shares }),
         };
         let mut reasons = selection.reasons();
         let n_accepted = selection.accepted.len();
         let accepted = selection.accepted.into_iter();
         let images: Vec<TargetImage> = accepted
-            .filter_map(|snapshot| placed(snapshot, target, &self.rays, &self.noise))
+            .filter_map(|snapshot| placed(snapshot, shown, &self.rays, &self.noise))
             .collect();
         let n_elsewhere = n_accepted - images.len();
         let n_unused = selection.rejected.len() + n_elsewhere;
@@ -205,7 +223,7 @@ impl Gatherer {
         }
         Ok(Scan {
             name: session,
-            target,
+            target: shown.target(),
             shares,
             images,
             n_unused,
@@ -226,8 +244,15 @@ impl Gatherer {
         self.plane_shares
             .push(plane.map_or(0.0, |plane| plane.share));
         let wall = plane.filter(|plane| plane.share >= WALL_SHARE);
-        let standing_out =
-            |wall: Plane| wall.share_before(depth, &self.rays, STANDING_OUT_M) >= MIN_STANDING_OUT;
+        let mut by_ball = TrackingOutcome::NoDepth;
+        if let Some(wall) = &wall {
+            let ball = ball_before(&wall.plane, depth, &self.rays, &self.noise);
+            self.sightings.add(ball);
+            by_ball = seen_from(ball.map(|ball| wall.thing_from_camera(&ball.centre)));
+        }
+        let standing_out = |wall: DominantPlane| {
+            wall.share_before(depth, &self.rays, STANDING_OUT_M) >= MIN_STANDING_OUT
+        };
         let in_model = match wall.is_none_or(standing_out) {
             true => self.fusion.fuse(depth, frame.device_time_secs),
             false => {
@@ -235,18 +260,30 @@ impl Gatherer {
                 TrackingOutcome::NoDepth
             }
         };
-        let on_wall = wall.map_or(TrackingOutcome::NoDepth, |wall| TrackingOutcome::Tracked {
-            world_from_camera: wall.plane_from_camera(),
-            fit: None,
-        });
-        Located { on_wall, in_model }
+        Located {
+            on_wall: seen_from(wall.map(|wall| wall.plane_from_camera())),
+            by_ball,
+            in_model,
+        }
     }
+}
+
+/// What becomes of a frame that itself tells where it was seen from, or does not.
+fn seen_from(world_from_camera: Option<Pose>) -> TrackingOutcome {
+    world_from_camera.map_or(TrackingOutcome::NoDepth, |world_from_camera| {
+        TrackingOutcome::Tracked {
+            world_from_camera,
+            fit: None,
+        }
+    })
 }
 
 /// Where the camera was when a frame was taken.
 struct Located {
     /// Against the wall that the frame shows.
     on_wall: TrackingOutcome,
+    /// Against the ball on the plane that fills the frame.
+    by_ball: TrackingOutcome,
     /// In the model of what stands out of planes.
     in_model: TrackingOutcome,
 }
@@ -254,22 +291,47 @@ struct Located {
 impl Located {
     const NOWHERE: Located = Located {
         on_wall: TrackingOutcome::NoDepth,
+        by_ball: TrackingOutcome::NoDepth,
         in_model: TrackingOutcome::NoDepth,
     };
+}
+
+/// What a session shows, and by what its place in an image is told.
+#[derive(Clone, Copy)]
+enum Shown {
+    /// A wall, by the image's own depth.
+    Wall,
+    /// A ball on a plane that fills the image, by its own depth too.
+    Ball(FoundSphere),
+    /// Another sphere, by the image's pose.
+    Fused(FoundSphere),
+}
+
+impl Shown {
+    fn target(self) -> Target {
+        match self {
+            Shown::Wall => Target::Wall,
+            Shown::Ball(sphere) | Shown::Fused(sphere) => Target::Sphere(sphere),
+        }
+    }
 }
 
 /// A snapshot with the place of the target in it; `None` where it shows none.
 fn placed(
     snapshot: ShadingSnapshot,
-    target: Target,
+    shown: Shown,
     rays: &RayGrid,
     noise: &DepthNoise,
 ) -> Option<TargetImage> {
-    let place = match target {
-        Target::Wall => dominant_plane(&snapshot.depth_m, rays, noise)
-            .filter(|plane| plane.share >= WALL_SHARE)
-            .map(Place::Wall)?,
-        Target::Sphere(sphere) => {
+    let depth_m = &snapshot.depth_m;
+    let filling_plane =
+        || dominant_plane(depth_m, rays, noise).filter(|plane| plane.share >= WALL_SHARE);
+    let place = match shown {
+        Shown::Wall => Place::Wall(filling_plane()?.plane),
+        Shown::Ball(sphere) => ball_before(&filling_plane()?.plane, depth_m, rays, noise)
+            .filter(|ball| are_alike(ball.radius_m, sphere.radius_m))
+            .map(|ball| Place::Sphere(ball.centre))?,
+        Shown::Fused(sphere) => {
             let centre = snapshot.world_from_camera.inverse() * sphere.centre_world;
             // Nothing in an image without the ball would say where it is.
             let camera = rays.camera();

@@ -16,6 +16,7 @@
 //!
 //! Not handled: specular spheres, light that does not move with the camera, motion blur.
 
+mod ball;
 mod depth_edges;
 mod edge_match;
 mod estimate;
@@ -24,6 +25,7 @@ mod interreflection;
 mod inverse_square;
 mod lit_images;
 mod model;
+mod normal_equations;
 mod offset;
 mod outline;
 mod plane;

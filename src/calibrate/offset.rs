@@ -73,10 +73,10 @@ pub enum OffsetError {
     },
     /// Too few images for a spread.
     #[error(
-        "{n_images} images have {MIN_EDGES_PER_IMAGE} edges on several sides, must be at least {MIN_IMAGES} for an interval"
+        "{n_images} different images have {MIN_EDGES_PER_IMAGE} edges on several sides, must be at least {MIN_IMAGES} for an interval"
     )]
     FewImages {
-        /// Images with enough edges.
+        /// Images with enough edges, without copies of others.
         n_images: usize,
     },
     /// The images disagree.
@@ -122,15 +122,22 @@ pub fn image_offset(
 /// # Errors
 /// If there are too few edges or images, or they disagree, each with the figure that shows it.
 pub fn combine_offsets(images: &[ImageOffset]) -> Result<OffsetEstimate, OffsetError> {
-    let n_edges = images.iter().map(|image| image.n_edges).sum();
+    // Copies of one image agree without being right: a spread of 0 is none.
+    let mut distinct: Vec<ImageOffset> = Vec::new();
+    for image in images {
+        if !distinct.contains(image) {
+            distinct.push(*image);
+        }
+    }
+    let n_edges = distinct.iter().map(|image| image.n_edges).sum();
     if n_edges < MIN_EDGES {
         return Err(OffsetError::FewEdges { n_edges });
     }
-    let n_images = images.len();
+    let n_images = distinct.len();
     if n_images < MIN_IMAGES {
         return Err(OffsetError::FewImages { n_images });
     }
-    let of = |value: fn(&ImageOffset) -> f64| median_with_interval(images.iter().map(value));
+    let of = |value: fn(&ImageOffset) -> f64| median_with_interval(distinct.iter().map(value));
     let (right, down) = (
         of(|image| image.offset_px[0]),
         of(|image| image.offset_px[1]),
@@ -256,12 +263,17 @@ mod tests {
     #[test]
     fn what_the_images_cannot_tell_is_refused_with_its_figure() {
         assert_eq!(
-            combine_offsets(&[image(5.0, 100), image(5.0, 100)]),
+            combine_offsets(&[image(5.0, 100), image(5.1, 100), image(5.0, 100)]),
             Err(OffsetError::FewEdges { n_edges: 200 })
         );
         assert_eq!(
             combine_offsets(&[image(5.0, 900)]),
             Err(OffsetError::FewImages { n_images: 1 })
+        );
+        let copies = [image(5.0, 150), image(5.1, 150), image(5.0, 150)];
+        assert_eq!(
+            combine_offsets(&copies),
+            Err(OffsetError::FewImages { n_images: 2 })
         );
         let scattered = [3.0, 4.0, 5.0, 6.0, 7.0].map(|right| image(right, 100));
         let error = combine_offsets(&scattered).unwrap_err().to_string();

@@ -11,9 +11,9 @@ use super::refusal::Refusal;
 use super::samples::{Cap, LimbPoint, Samples};
 use super::solve::Problem;
 use super::state::{Priors, SphereState, State};
+use crate::geometry::bilinear;
 use crate::robust::median;
-use depth_camera::Image;
-use nalgebra::{Point3, Vector2, Vector3};
+use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 
 /// What the image shows of a sphere's outline.
@@ -246,20 +246,6 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
         n += 1.0;
     }
     sum / n
-}
-
-/// The value between pixels; `None` beyond the border.
-fn bilinear(image: &Image<f32>, pixel: &Vector2<f64>) -> Option<f64> {
-    let within = |x: f64, n: usize| x >= 0.0 && x < (n - 1) as f64;
-    if !within(pixel.x, image.width()) || !within(pixel.y, image.height()) {
-        return None;
-    }
-    let (u, v) = (pixel.x as usize, pixel.y as usize);
-    let (fu, fv) = (pixel.x - u as f64, pixel.y - v as f64);
-    let at = |u: usize, v: usize| f64::from(*image.at(u, v));
-    let top = at(u, v) + (at(u + 1, v) - at(u, v)) * fu;
-    let bottom = at(u, v + 1) + (at(u + 1, v + 1) - at(u, v + 1)) * fu;
-    Some(top + (bottom - top) * fv)
 }
 
 /// Range of the sphere's nearest point, as the depth of the cap that faces the camera says: its median. `None` without

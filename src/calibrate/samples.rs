@@ -5,9 +5,10 @@ use super::gather::{Place as TargetPlace, Scan, TargetImage};
 use super::interreflection::Surroundings;
 use super::model::{SpherePoint, log_linear, meet_sphere};
 use super::outline::{measure_cap, measure_limb};
-use super::plane::{ON_PLANE_SIGMAS, Plane};
+use super::plane::{ON_PLANE_SIGMAS, residual_sigmas};
 use super::state::State;
 use crate::fusion::DepthNoise;
+use crate::geometry::Plane;
 use crate::shading::SATURATION;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -221,7 +222,7 @@ fn wall_samples(
                 tile: tile_of(number, u0, v0),
                 ray,
                 place: Place::Wall {
-                    point: plane.point(ray[0], ray[1])?,
+                    point: plane.met_by(ray)?,
                     normal: plane.normal,
                 },
                 log_observed: observed.ln(),
@@ -253,8 +254,8 @@ fn wall_cell(
             let z = *shown.depth_m.at(u, v);
             if z > 0.0 {
                 n_depth += 1;
-                n_off +=
-                    usize::from(plane.residual_sigmas(x, y, z, &noise).abs() > ON_PLANE_SIGMAS);
+                let off_sigmas = residual_sigmas(plane, [x, y], z, &noise).abs();
+                n_off += usize::from(off_sigmas > ON_PLANE_SIGMAS);
             }
             sum += counts;
             ray[0] += x;

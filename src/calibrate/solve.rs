@@ -2,6 +2,7 @@
 
 use super::estimate::{Estimate, SessionFit};
 use super::model::{Row, cap_row, intensity_row, limb_row};
+use super::normal_equations::{Normal, inverted};
 use super::samples::{Place, Sample, Samples};
 use super::state::{Priors, State};
 use crate::robust::{Tukey, median, median_absolute_deviation};
@@ -22,13 +23,6 @@ pub struct Problem<'a> {
 struct Losses {
     intensities: Vec<Tukey>,
     limbs: Tukey,
-}
-
-/// Normal equations and the cost at one state.
-struct Normal {
-    jtj: DMatrix<f64>,
-    jtr: DVector<f64>,
-    cost: f64,
 }
 
 /// Times that the robust scales are estimated anew.
@@ -77,7 +71,7 @@ impl<'a> Problem<'a> {
         let mut normal = self.linearise(state, losses);
         let mut damping = 1e-4;
         for _ in 0..MAX_STEPS {
-            let Some(step) = solve(&normal, damping) else {
+            let Some(step) = normal.step(damping) else {
                 damping *= 10.0;
                 continue;
             };
@@ -234,17 +228,16 @@ impl<'a> Problem<'a> {
             }
         }
         self.add_outline_spread(&state, &losses, &mut spread);
-        let inverse = hessian.cholesky().map_or_else(
-            || DMatrix::zeros(state.n_unknowns(), state.n_unknowns()),
-            |c| c.inverse(),
-        );
+        let (inverse, mut is_told) = inverted(&hessian);
         let mut covariance = &inverse * spread * &inverse;
         for index in (0..state.n_unknowns()).filter(|index| self.frozen[*index]) {
             covariance.row_mut(index).fill(0.0);
             covariance.column_mut(index).fill(0.0);
+            is_told[index] = false;
         }
         Estimate {
             covariance,
+            is_told,
             fits: self.fits(&state, &losses),
             flat_is_measured: self.flat_is_measured,
             state,
@@ -332,47 +325,5 @@ impl<'a> Problem<'a> {
                 }
             })
             .collect()
-    }
-}
-
-/// The step of the damped normal equations; `None` if they are not definite.
-fn solve(normal: &Normal, damping: f64) -> Option<DVector<f64>> {
-    let mut damped = normal.jtj.clone();
-    for index in 0..damped.nrows() {
-        damped[(index, index)] *= 1.0 + damping;
-    }
-    Some(damped.cholesky()?.solve(&-&normal.jtr))
-}
-
-impl Normal {
-    fn zero(n: usize) -> Self {
-        Normal {
-            jtj: DMatrix::zeros(n, n),
-            jtr: DVector::zeros(n),
-            cost: 0.0,
-        }
-    }
-
-    fn add(&mut self, row: &Row, loss: &Tukey) {
-        self.cost += loss.loss(row.residual);
-        self.add_weighted(row, loss.weight(row.residual));
-    }
-
-    fn add_squared(&mut self, row: &Row, weight: f64) {
-        self.cost += 0.5 * weight * row.residual * row.residual;
-        self.add_weighted(row, weight);
-    }
-
-    fn add_weighted(&mut self, row: &Row, weight: f64) {
-        if weight == 0.0 {
-            return;
-        }
-        for (i, a) in &row.entries {
-            let scaled = weight * a;
-            self.jtr[*i] += scaled * row.residual;
-            for (j, b) in &row.entries {
-                self.jtj[(*i, *j)] += scaled * b;
-            }
-        }
     }
 }

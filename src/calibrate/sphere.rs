@@ -1,7 +1,7 @@
 //! The sphere in the fused mesh.
 
-use super::plane::{Plane, plane_through};
-use crate::geometry::TriMesh;
+use super::plane::plane_through;
+use crate::geometry::{Plane, TriMesh};
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 
 /// What is known of the sphere's radius beforehand.
@@ -13,16 +13,27 @@ pub enum BallRadius {
     Given(f64),
 }
 
-/// A sphere in a fused mesh.
+impl BallRadius {
+    /// Standard deviation of a radius that is this, or was found to be this, metres.
+    pub(super) fn sigma_m(self, radius_m: f64) -> f64 {
+        radius_m
+            * match self {
+                BallRadius::Unknown => FOUND_RADIUS_ERROR,
+                BallRadius::Given(_) => GIVEN_RADIUS_ERROR,
+            }
+    }
+}
+
+/// A sphere in a fused mesh, or in the frames of a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundSphere {
     /// Its centre, world frame, metres.
     pub centre_world: Point3<f64>,
-    /// Its radius, metres: given, or as fused.
+    /// Its radius, metres: given, or as depth shows it.
     pub radius_m: f64,
     /// How well the radius is known, metres.
     pub radius_sigma_m: f64,
-    /// Share of the sphere's front that the mesh covers.
+    /// Share of the sphere's front that is seen.
     pub coverage: f64,
 }
 
@@ -32,7 +43,7 @@ const N_DRAWS: usize = 10_000;
 /// Three vertices are drawn so often for the plane that the sphere stands on.
 const N_PLANES: usize = 300;
 /// What lies within this of a plane lies on it, metres: multipath bends a table by half as much.
-const ON_PLANE_M: f64 = 0.01;
+pub(super) const ON_PLANE_M: f64 = 0.01;
 /// Fewer vertices show nothing.
 const MIN_VERTICES: usize = 100;
 /// Vertices among which the second one of a pair is looked for, and how far apart the two are, metres.
@@ -46,8 +57,8 @@ const TOLERANCE_SHARE: f64 = 0.03;
 const MIN_NORMAL_COSINE: f64 = 0.94;
 /// A sphere shows at least this share of its front in the mesh. A plane shows 0.06 of one: its cap within the normals' 20°.
 pub(super) const MIN_COVERAGE: f64 = 0.35;
-/// What fusion and multipath may do to the radius: 4 % on a recorded sphere on a table.
-const FUSED_RADIUS_ERROR: f64 = 0.06;
+/// What fusion, or the noise of single frames, and multipath may do to the radius: 4 % on a recorded sphere on a table.
+const FOUND_RADIUS_ERROR: f64 = 0.06;
 /// What callipers may do to it.
 const GIVEN_RADIUS_ERROR: f64 = 0.002;
 
@@ -87,15 +98,14 @@ pub fn best_sphere(mesh: &TriMesh, radius: BallRadius) -> Option<FoundSphere> {
     }
     let (_, mut centre, mut r) = best;
     for _ in 0..10 {
-        (centre, r) = refit(&vertices, &centre, r, radius)?;
+        let on_sphere = vertices.iter().filter(|v| lies_on(v, &centre, r));
+        let on_sphere = on_sphere.map(|(point, _)| (*point, 1.0));
+        (centre, r) = refit(on_sphere, &centre, r, radius)?;
     }
     Some(FoundSphere {
         centre_world: centre,
         radius_m: r,
-        radius_sigma_m: r * match radius {
-            BallRadius::Unknown => FUSED_RADIUS_ERROR,
-            BallRadius::Given(_) => GIVEN_RADIUS_ERROR,
-        },
+        radius_sigma_m: radius.sigma_m(r),
         coverage: covered_share(mesh, &vertices, &centre, r),
     })
 }
@@ -158,7 +168,7 @@ fn sphere_of_pair(a: &Oriented, b: &Oriented, radius: BallRadius) -> Option<(Poi
     })
 }
 
-fn tolerance_m(r: f64) -> f64 {
+pub(super) fn tolerance_m(r: f64) -> f64 {
     (TOLERANCE_SHARE * r).max(0.002)
 }
 
@@ -168,15 +178,15 @@ fn lies_on((point, normal): &Oriented, centre: &Point3<f64>, r: f64) -> bool {
     (distance - r).abs() < tolerance_m(r) && normal.dot(&arm) > MIN_NORMAL_COSINE * distance
 }
 
-/// One step of least squares on the distances of the vertices that lie on the sphere.
-fn refit(
-    vertices: &[Oriented],
+/// One step of least squares on the distances of points, each with its weight, from the sphere; `None` where they do not tell it.
+pub(super) fn refit(
+    points: impl Iterator<Item = (Point3<f64>, f64)>,
     centre: &Point3<f64>,
     r: f64,
     radius: BallRadius,
 ) -> Option<(Point3<f64>, f64)> {
     let (mut jtj, mut jtr) = (Matrix4::zeros(), Vector4::zeros());
-    for (point, _) in vertices.iter().filter(|v| lies_on(v, centre, r)) {
+    for (point, weight) in points {
         let arm = point - centre;
         let distance = arm.norm();
         let out = arm / distance;
@@ -185,8 +195,8 @@ fn refit(
             BallRadius::Given(_) => 0.0,
         };
         let row = Vector4::new(out.x, out.y, out.z, by_radius);
-        jtj += row * row.transpose();
-        jtr += row * (distance - r);
+        jtj += row * row.transpose() * weight;
+        jtr += row * (weight * (distance - r));
     }
     if let BallRadius::Given(_) = radius {
         jtj[(3, 3)] = 1.0;

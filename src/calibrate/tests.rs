@@ -3,10 +3,9 @@
 
 use super::gather::{Ambient, Place};
 use super::model::{Row, cap_row, intensity_row, limb_row, meet_sphere};
-use super::plane::Plane;
 use super::samples::{Cap, LimbPoint, Place as SamplePlace, Sample};
 use super::*;
-use crate::geometry::CameraModel;
+use crate::geometry::{CameraModel, Plane};
 use crate::shading::{FlatField, NearLight};
 use depth_camera::{Image, Intrinsics};
 use nalgebra::{DVector, Point3, Vector3};
@@ -120,11 +119,10 @@ impl Truth {
                 normal: Vector3::new(tilt, 0.5 * tilt, -1.0)
                     .try_normalize(0.0)
                     .expect("not zero"),
-                distance_m: 0.5 + 0.17 * f64::from(k),
-                share: 1.0,
+                offset_m: -0.5 - 0.17 * f64::from(k),
             };
-            self.image(rays, k as u64, Place::Wall(plane), |[x, y]| {
-                Some((plane.point(x, y)?, plane.normal))
+            self.image(rays, k as u64, Place::Wall(plane), |ray| {
+                Some((plane.met_by(ray)?, plane.normal))
             })
         });
         Scan {
@@ -211,6 +209,38 @@ fn a_strange_sensor_is_found_from_sphere_and_wall() {
     assert!((law.product.value / TRUTH.gamma + 2.0).abs() < 0.02);
     let check = response_check(&scans, 0, &sensor, &found).expect("lit pixels");
     assert!(check.within > 0.99);
+}
+
+#[test]
+fn an_image_that_does_not_tell_where_its_ball_is_leaves_all_else_known() {
+    let rays = rays();
+    let fit = |sphere: Scan| {
+        let mut scans = [sphere, TRUTH.wall(&rays)];
+        estimate(&mut scans, &sensor(&rays), &priors()).expect("plain targets")
+    };
+    let expected = fit(TRUTH.sphere(&rays)).gamma();
+    let mut sphere = TRUTH.sphere(&rays);
+    let n_images = sphere.images.len();
+    // Dark, but for how far away the ball is; and not even that.
+    let mut dark = sphere.images[0].clone();
+    dark.ir_counts.data_mut().fill(0.0);
+    let mut empty = dark.clone();
+    empty.depth_m.data_mut().fill(0.0);
+    sphere.images.extend([dark, empty]);
+    let found = fit(sphere);
+    let gamma = found.gamma();
+    assert!(
+        (gamma.value - expected.value).abs() < 0.5 * expected.sigma,
+        "{gamma:?} for {expected:?}"
+    );
+    assert!(
+        (gamma.sigma / expected.sigma - 1.0).abs() < 0.2,
+        "{gamma:?}"
+    );
+    let centres = found.state.session_start(0) + 3;
+    let (seen, unseen) = found.is_told[centres..][..3 * (n_images + 2)].split_at(3 * n_images);
+    assert!(seen.iter().all(|is_told| *is_told));
+    assert!(unseen.iter().all(|is_told| !is_told));
 }
 
 #[test]

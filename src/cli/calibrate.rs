@@ -19,6 +19,7 @@ use relief::{
     config::{
         self, CalibrationKey, Config, DeviceCalibration, MeasuredSession, MergeError, MergeReport,
     },
+    control,
     devices::{content_hash, open_recording},
     shading::Calibration,
 };
@@ -28,11 +29,12 @@ use std::{
     path::{Path, PathBuf},
     slice,
     str::FromStr,
+    sync::atomic::{AtomicBool, Ordering},
 };
 use targets::Aim;
 
 /// What to measure.
-#[derive(Debug, Subcommand)]
+#[derive(Clone, Debug, Subcommand)]
 pub enum CalibrateCommand {
     /// The exponent of the IR response, from a white sphere, better with a plain wall
     Response(TargetArgs),
@@ -69,20 +71,38 @@ impl CalibrateCommand {
     }
 }
 
-/// Runs a command.
+/// Somebody asked to stop before anything was written.
+#[derive(Debug, thiserror::Error)]
+#[error("stopped before anything was written")]
+pub struct Stopped;
+
+/// Runs a command; a signal ends it before it writes.
 ///
 /// # Errors
-/// For sessions that cannot be read or learnt from, and a file that is not to be changed.
+/// For sessions that cannot be read or learnt from, and a file that is not to be changed; [`Stopped`].
 pub fn calibrate(command: &CalibrateCommand) -> anyhow::Result<Verdict> {
     for session in command.sessions() {
         run::tell_unknown_keys(session);
     }
+    let command = command.clone();
+    control::until_stopped(move |stop| measure(&command, stop))?
+}
+
+fn measure(command: &CalibrateCommand, stop: &AtomicBool) -> anyhow::Result<Verdict> {
     match command {
-        CalibrateCommand::Response(args) => targets::calibrate(Aim::Response, args),
-        CalibrateCommand::FlatField(args) => targets::calibrate(Aim::FlatField, args),
-        CalibrateCommand::Light(args) => targets::calibrate(Aim::Light, args),
-        CalibrateCommand::Offset(args) => offset::offset(args),
-        CalibrateCommand::Depth(args) => depth::depth(args),
+        CalibrateCommand::Response(args) => targets::calibrate(Aim::Response, args, stop),
+        CalibrateCommand::FlatField(args) => targets::calibrate(Aim::FlatField, args, stop),
+        CalibrateCommand::Light(args) => targets::calibrate(Aim::Light, args, stop),
+        CalibrateCommand::Offset(args) => offset::offset(args, stop),
+        CalibrateCommand::Depth(args) => depth::depth(args, stop),
+    }
+}
+
+/// Looks whether somebody has asked to stop.
+fn check_wanted(stop: &AtomicBool) -> Result<(), Stopped> {
+    match stop.load(Ordering::Relaxed) {
+        true => Err(Stopped),
+        false => Ok(()),
     }
 }
 
@@ -103,8 +123,9 @@ fn measured_session(name: String, session: &Path) -> anyhow::Result<MeasuredSess
     })
 }
 
-/// The next frame of a recording that is not damaged; `None` at its end.
-fn next_frame(camera: &mut dyn DepthCamera) -> anyhow::Result<Option<Frame>> {
+/// The next frame of a recording that is not damaged, unless somebody has asked to stop; `None` at its end.
+fn next_frame(camera: &mut dyn DepthCamera, stop: &AtomicBool) -> anyhow::Result<Option<Frame>> {
+    check_wanted(stop)?;
     run::next_frame(camera, &mut 0)
 }
 
@@ -157,7 +178,7 @@ fn of_merging(error: MergeError) -> anyhow::Error {
 }
 
 /// Where a measurement goes.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct FileArgs {
     /// Folder of the calibrations named SERIAL.toml; "calibration" without it
     #[arg(long, value_name = "DIR")]
@@ -174,7 +195,7 @@ pub struct FileArgs {
 }
 
 /// `relief calibrate response`, `flat-field` and `light`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct TargetArgs {
     /// Folders of the sessions, all of one device; what each shows is found out
     #[arg(required = true)]
@@ -200,7 +221,7 @@ pub struct TargetArgs {
 }
 
 /// `relief calibrate offset`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct OffsetArgs {
     /// Folder of the session, as the device delivered it
     pub session: PathBuf,
@@ -210,7 +231,7 @@ pub struct OffsetArgs {
 }
 
 /// `relief calibrate depth`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct DepthArgs {
     /// Folder of the session: a matt object on a table, scanned from many sides
     pub session: PathBuf,
@@ -260,6 +281,17 @@ impl FromStr for PlaceArg {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use simulated::SimulatedCamera;
+
+    #[test]
+    fn a_measurement_that_is_told_to_stop_is_interrupted() {
+        let mut camera = SimulatedCamera::kinect2_plaque(1, 0);
+        let stop = AtomicBool::new(false);
+        assert!(next_frame(&mut camera, &stop).unwrap().is_some());
+        stop.store(true, Ordering::Relaxed);
+        let error = next_frame(&mut camera, &stop).err().unwrap();
+        assert_eq!(Verdict::of_error(&error), Verdict::Interrupted);
+    }
 
     #[test]
     fn places_and_radii_are_checked() {

@@ -2,7 +2,7 @@
 
 use crate::{
     daemon_process::Daemon,
-    support::{PROGRAM, Workbench, poll, prolong},
+    support::{PROGRAM, Workbench, poll, prolong, record, small_camera},
     worker::child_of,
 };
 use serde_json::Value;
@@ -71,6 +71,41 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
         assert_eq!(accounted, count("total"));
         assert_eq!(frames["unaccounted"], 0);
     }
+}
+
+/// Whether a process listens to SIGHUP, whose bit is the first, by its file of proc(5).
+fn listens_to_hang_up(pid: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+    let mask = status
+        .lines()
+        .find_map(|line| line.strip_prefix("SigCgt:"))
+        .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 1 == 1)
+}
+
+#[test]
+fn a_calibration_that_is_told_to_stop_ends_in_order() {
+    let bench = Workbench::empty();
+    // Of all pixels, so that it takes far longer than to be told.
+    record(small_camera(1, 1), &bench.session());
+    prolong(&bench.session());
+    let mut child = Command::new("env")
+        .args(["--default-signal=HUP", PROGRAM, "calibrate", "offset"])
+        .arg(bench.session())
+        .arg("--dry-run")
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let pid = child.id();
+    poll("somebody who listens", || {
+        listens_to_hang_up(pid).then_some(())
+    });
+    let pid = pid.to_string();
+    let killed = Command::new("kill").args(["-HUP", &pid]).status().unwrap();
+    assert!(killed.success());
+    let status = poll("the end", || child.try_wait().unwrap());
+    assert_eq!(status.code(), Some(130));
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! What sessions are taken for, by simulated cameras.
 
 use super::*;
-use crate::geometry::Pose;
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{Isometry3, Vector3};
 use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
@@ -61,6 +60,32 @@ fn a_ball_on_a_table_that_fills_the_image_is_no_wall_whatever_comes_first() {
     };
     assert!((sphere.radius_m - 0.1).abs() < 0.006, "{sphere:?}");
     assert_eq!((scan.images.len(), scan.n_unused), (3, 1));
+}
+
+#[test]
+fn a_ball_of_five_centimetres_before_a_camera_that_moves_is_no_wall() {
+    let ball = Shape::Sphere { radius: 0.025 };
+    let middle = Point3::new(0.0, 0.0, 0.025);
+    let [_, with_ball] = bare_and_with(ball, Isometry3::translation(0.0, 0.0, 0.025));
+    // 10 cm from frame to frame.
+    let from = |aside_m: f64| middle + Vector3::new(aside_m, -0.35, 0.5);
+    let places = [-0.15, -0.05, 0.05, 0.15].map(|aside_m| (&with_ball, from(aside_m)));
+    let target = Point3::new(0.05, 0.0, 0.0);
+    let scan = gathered(&places, target).unwrap();
+    assert!(scan.shares.plane > WALL_SHARE, "{}", scan.shares);
+    let Target::Sphere(sphere) = scan.target else {
+        panic!("{}", scan.shares);
+    };
+    assert!((sphere.radius_m - 0.025).abs() < 0.003, "{sphere:?}");
+    assert_eq!((scan.images.len(), scan.n_unused), (4, 0));
+    for (image, (_, eye)) in scan.images.iter().zip(places) {
+        let Place::Sphere(centre) = image.place else {
+            panic!("{:?}", image.place);
+        };
+        // As far away as it is.
+        let off_m = centre.coords.norm() - (middle - eye).norm();
+        assert!(off_m.abs() < 0.004, "{off_m} m off");
+    }
 }
 
 #[test]
@@ -134,7 +159,7 @@ fn an_image_without_the_ball_is_none_of_the_ball() {
             radius_sigma_m: 0.001,
             coverage: 1.0,
         };
-        placed(snapshot, Target::Sphere(sphere), &rays, &noise).is_some()
+        placed(snapshot, Shown::Fused(sphere), &rays, &noise).is_some()
     };
     assert!(is_used(0.0, 0.6));
     assert!(!is_used(0.9, 0.6), "beside the picture");

@@ -76,7 +76,10 @@ impl Findings {
     /// Figures of a key for the device's file.
     pub fn figures(&self, key: CalibrationKey) -> BTreeMap<String, f64> {
         let mut figures = BTreeMap::new();
-        let mut add = |name: &str, value: f64| figures.insert(name.to_owned(), value);
+        // An interval that is not known is no figure.
+        let mut add = |name: &str, value: f64| {
+            figures.extend(value.is_finite().then(|| (name.to_owned(), value)));
+        };
         match key {
             CalibrationKey::Gamma => {
                 add("half_interval_95", self.estimate.gamma().half_width());
@@ -305,9 +308,9 @@ fn result(name: &str, value: String, remark: String) -> CalibrationResult {
 }
 
 fn interval(measured: &Measured, scale: f64, digits: usize) -> String {
-    format!(
-        "{:.digits$} ± {:.digits$}",
-        measured.value * scale,
-        measured.half_width() * scale
-    )
+    let (value, half_width) = (measured.value * scale, measured.half_width() * scale);
+    match half_width.is_finite() {
+        true => format!("{value:.digits$} ± {half_width:.digits$}"),
+        false => format!("{value:.digits$}, interval not known"),
+    }
 }

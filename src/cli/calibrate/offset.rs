@@ -1,6 +1,8 @@
 //! `relief calibrate offset`: where the IR image lies against the depth image.
 
-use super::{OffsetArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
+use super::{
+    OffsetArgs, check_beforehand, check_wanted, conclude, measured_session, merge, next_frame, open,
+};
 use crate::cli::{
     run::{Verdict, calibration_folder, session_name},
     stdout::Stdout,
@@ -19,11 +21,12 @@ use std::{
     collections::BTreeMap,
     io::{self, Write},
     path::Path,
+    sync::atomic::AtomicBool,
     time::SystemTime,
 };
 
 /// `relief calibrate offset`; of a Kinect II, whose offset is known, it only says what it finds.
-pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
+pub fn offset(args: &OffsetArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
     let config = Config::layered(None, &Overrides::default())?;
     let mut camera = open(&args.session, &config)?;
     let info = camera.info().clone();
@@ -42,10 +45,11 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
         check_beforehand(&path, &measured, &[key], args.file.replace)?;
     }
     let offsets = match info.sensor {
-        Sensor::Kinect1 => of_shading_images(camera.as_mut(), full_scale)?,
-        Sensor::Kinect2 => of_every_frame(camera.as_mut(), full_scale)?,
+        Sensor::Kinect1 => of_shading_images(camera.as_mut(), full_scale, stop)?,
+        Sensor::Kinect2 => of_every_frame(camera.as_mut(), full_scale, stop)?,
     };
     let estimate = combine_offsets(&offsets)?;
+    check_wanted(stop)?;
     measured.ir_offset_px = Some(estimate.offset_px);
     let write = || {
         let measurement = measurement(&estimate, &args.session)?;
@@ -61,12 +65,13 @@ pub fn offset(args: &OffsetArgs) -> anyhow::Result<Verdict> {
 fn of_shading_images(
     camera: &mut dyn DepthCamera,
     full_scale: f64,
+    stop: &AtomicBool,
 ) -> anyhow::Result<Vec<ImageOffset>> {
     let params = SnapshotParams::default();
     let max_covered_share = params.max_covered_depth_share;
     let mut selector = SnapshotSelector::new(camera.info(), params)
         .context("the session has no light for its infrared images")?;
-    while let Some(frame) = next_frame(camera)? {
+    while let Some(frame) = next_frame(camera, stop)? {
         // The pose does not matter here: depth and IR are compared on the image.
         let outcome = match frame.depth_share() > max_covered_share {
             true => TrackingOutcome::Tracked {
@@ -96,9 +101,10 @@ fn of_shading_images(
 fn of_every_frame(
     camera: &mut dyn DepthCamera,
     full_scale: f64,
+    stop: &AtomicBool,
 ) -> anyhow::Result<Vec<ImageOffset>> {
     let mut offsets = Vec::new();
-    while let Some(frame) = next_frame(camera)? {
+    while let Some(frame) = next_frame(camera, stop)? {
         if let (Some(depth_m), Some(ir)) = (&frame.depth, &frame.ir) {
             let ir_counts = ir.map(|&counts| f32::from(counts));
             offsets.extend(image_offset(depth_m, &ir_counts, full_scale));

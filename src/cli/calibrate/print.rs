@@ -9,19 +9,21 @@ use relief::{
 use serde_json::json;
 use std::{collections::BTreeMap, io::Write};
 
-/// Prints what was found: text, or one JSON object.
+/// Prints what was found as one JSON object.
 ///
 /// # Errors
 /// If it cannot be printed.
-pub fn print(findings: &Findings, as_json: bool) -> anyhow::Result<()> {
-    if as_json {
-        writeln!(
-            Stdout,
-            "{}",
-            serde_json::to_string(&machine_readable(findings))?
-        )?;
-        return Ok(());
-    }
+pub fn print_json(findings: &Findings) -> anyhow::Result<()> {
+    let object = serde_json::to_string(&machine_readable(findings))?;
+    writeln!(Stdout, "{object}")?;
+    Ok(())
+}
+
+/// Prints what was found as text.
+///
+/// # Errors
+/// If it cannot be printed.
+pub fn print_text(findings: &Findings) -> anyhow::Result<()> {
     for session in findings.sessions() {
         writeln!(
             Stdout,

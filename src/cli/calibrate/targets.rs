@@ -2,8 +2,11 @@
 //! write what the command is for into the device's file.
 
 use super::{
-    TargetArgs, check_beforehand, findings::Findings, measured_session, merge, next_frame, open,
-    page::write_page, print::print,
+    TargetArgs, check_beforehand, check_wanted,
+    findings::Findings,
+    measured_session, merge, next_frame, open,
+    page::write_page,
+    print::{print_json, print_text},
 };
 use crate::cli::run::{Verdict, calibration_folder, session_name};
 use anyhow::{Context, bail, ensure};
@@ -26,6 +29,7 @@ use relief::{
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
+    sync::atomic::AtomicBool,
     time::SystemTime,
 };
 
@@ -80,7 +84,7 @@ struct Device {
 }
 
 /// Runs a command.
-pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
+pub fn calibrate(aim: Aim, args: &TargetArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
     let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
     let config = Config::layered(None, &Overrides::default())?;
     let device = device(args, &config, &folder)?;
@@ -90,7 +94,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
         check_beforehand(&path, &nothing, aim.keys(), args.file.replace)?;
     }
     let found = &device.found;
-    let scans = gather(args, &config, &device)?;
+    let scans = gather(args, &config, &device, stop)?;
     require_targets(aim, args, &scans)?;
 
     let rays = RayGrid::new(CameraModel::new(device.info.intrinsics));
@@ -105,6 +109,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
     };
     let priors = priors(aim, args, &device.info, found)?;
     let findings = investigate(aim, scans, &sensor, priors, found)?;
+    check_wanted(stop)?;
     let page = args
         .page
         .clone()
@@ -114,7 +119,10 @@ pub fn calibrate(aim: Aim, args: &TargetArgs) -> anyhow::Result<Verdict> {
         false => write(&path, &findings, &device, args).map(Some),
     };
     // What cannot be printed is written all the same, and what cannot be written is printed.
-    let printed = print(&findings, args.json);
+    let printed = match args.json {
+        true => print_json(&findings),
+        false => print_text(&findings),
+    };
     if let Some(report) = written? {
         if let Some(kept) = &report.kept {
             tracing::info!(kept = %kept.display(), "the file as it was is kept");
@@ -143,7 +151,12 @@ fn device(args: &TargetArgs, config: &Config, folder: &Path) -> anyhow::Result<D
 }
 
 /// Replays every session; all must be of one device.
-fn gather(args: &TargetArgs, config: &Config, device: &Device) -> anyhow::Result<Vec<Scan>> {
+fn gather(
+    args: &TargetArgs,
+    config: &Config,
+    device: &Device,
+    stop: &AtomicBool,
+) -> anyhow::Result<Vec<Scan>> {
     let ir_offset = IrOffset::nearest(device.found.calibration.ir_offset_px);
     let radius = args
         .radius
@@ -159,7 +172,7 @@ fn gather(args: &TargetArgs, config: &Config, device: &Device) -> anyhow::Result
         )?;
         let mut gatherer = Gatherer::new(camera.info(), FusionParams::default())
             .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
-        while let Some(frame) = next_frame(camera.as_mut())? {
+        while let Some(frame) = next_frame(camera.as_mut(), stop)? {
             gatherer.observe(&ir_offset.remove_from(frame));
         }
         let scan = gatherer.finish(&name, radius)?;
@@ -388,6 +401,6 @@ mod tests {
     fn sessions_of_one_name_can_be_told_apart() {
         let sessions = ["a/recording", "b/recording", "b/wall", "c/wall", "a"];
         let names = distinct_names(&sessions.map(PathBuf::from));
-        assert_eq!(names, ["a", "b", "wall", "wall-2", "a-2"]);
+        assert_eq!(names, ["recording", "recording-2", "wall", "wall-2", "a"]);
     }
 }
