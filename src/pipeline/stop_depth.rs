@@ -110,7 +110,8 @@ impl ShadingRequest {
         lock(&self.newest).take()
     }
 
-    fn answer(&self, outcome: ShadingOutcome) {
+    /// Says how the request ended.
+    pub(super) fn answer(&self, outcome: ShadingOutcome) {
         match &outcome {
             ShadingOutcome::Taken { n_exposures } => {
                 tracing::info!(n_exposures, "shading exposures taken with depth stopped");

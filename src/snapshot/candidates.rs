@@ -13,6 +13,8 @@ pub(super) struct Candidates {
     pub(super) rejected: Rejections,
     /// Whether the operator asked for the next good image.
     pub(super) is_requested: bool,
+    /// Images that were candidates until it turned out that the lamp had not lit them.
+    pub(super) n_revoked: usize,
 }
 
 impl Candidates {
@@ -23,6 +25,7 @@ impl Candidates {
             params,
             rejected: Rejections::default(),
             is_requested: false,
+            n_revoked: 0,
         }
     }
 
@@ -37,6 +40,19 @@ impl Candidates {
 
     pub(super) fn reject(&mut self, frame_id: u64, reason: RejectReason) {
         self.rejected.extend([Rejection { frame_id, reason }]);
+    }
+
+    /// Takes back the candidates against which `reason` finds something after all. A request that one of them had met stands again.
+    pub(super) fn revoke(&mut self, reason: impl Fn(&ShadingSnapshot) -> Option<Rejection>) {
+        let (rejected, n_revoked) = (&mut self.rejected, &mut self.n_revoked);
+        let met_a_request = self.pool.retain(|held| {
+            let reason = reason(held);
+            let stays = reason.is_none();
+            *n_revoked += usize::from(!stays);
+            rejected.extend(reason);
+            stays
+        });
+        self.is_requested |= met_a_request;
     }
 
     /// The choice among them.

@@ -164,22 +164,17 @@ impl ShadingSequence {
         }
     }
 
-    /// Takes in how bright the lamp made a pose. If none was as bright before, it tells which of those were without the lamp, those
-    /// that were asked for among them.
+    /// Takes in how bright the lamp made a pose. If none was as bright before, it tells which of those were without the lamp; one of them
+    /// that was asked for leaves its request to this pose.
     fn learn_lamp(&mut self, snapshot: &ShadingSnapshot, to: &mut Candidates) {
         let at_1_m = counts_at_1_m(snapshot);
         if at_1_m <= self.lamp_counts_at_1_m {
             return;
         }
         self.lamp_counts_at_1_m = at_1_m;
-        let rejected = &mut to.rejected;
-        to.pool.retain(|held| {
+        to.revoke(|held| {
             let counts = counts_at_1_m(held);
-            let stays = is_lit(counts, at_1_m);
-            if !stays {
-                rejected.extend([unlit(held.frame_id, counts / at_1_m)]);
-            }
-            stays
+            (!is_lit(counts, at_1_m)).then(|| unlit(held.frame_id, counts / at_1_m))
         });
     }
 

@@ -132,14 +132,17 @@ impl Pool {
         self.retain(|snapshot| snapshot.device_time_secs <= after_secs);
     }
 
-    /// Forgets the candidates for which `stays` does not hold, looking at the latest first.
-    pub(super) fn retain(&mut self, mut stays: impl FnMut(&ShadingSnapshot) -> bool) {
+    /// Forgets the candidates for which `stays` does not hold, looking at the latest first; returns whether a pinned one was among them.
+    pub(super) fn retain(&mut self, mut stays: impl FnMut(&ShadingSnapshot) -> bool) -> bool {
+        let mut was_pinned = false;
         for index in (0..self.candidates.len()).rev() {
             if !stays(&self.candidates[index].snapshot) {
+                was_pinned |= self.candidates[index].is_pinned;
                 let loss = loss(&self.candidates[index], &self.total);
                 self.remove(index, loss);
             }
         }
+        was_pinned
     }
 
     /// Moves all poses. What candidates tell stays with the patches where they were: those are larger than the drift of a scan.

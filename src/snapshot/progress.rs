@@ -12,14 +12,24 @@ use crate::geometry::Pose;
 use depth_camera::Image;
 
 impl SnapshotSelector {
-    /// Asks for the next image that passes the gates of quality, however little it adds, or takes that back.
-    pub fn request(&mut self, is_requested: bool) {
-        self.candidates.is_requested = is_requested;
+    /// Asks for the next image that passes the gates of quality, however little it adds.
+    pub fn request(&mut self) {
+        self.candidates.is_requested = true;
+    }
+
+    /// Takes back what was asked for and has not come.
+    pub fn cancel_request(&mut self) {
+        self.candidates.is_requested = false;
     }
 
     /// Whether an image was asked for that has not come yet.
     pub fn is_requested(&self) -> bool {
         self.candidates.is_requested
+    }
+
+    /// Kinect I: how many images were shading images until it turned out that the lamp had not lit them.
+    pub fn n_revoked(&self) -> usize {
+        self.candidates.n_revoked
     }
 
     /// Kinect I: whether exposures of a pose are being taken.

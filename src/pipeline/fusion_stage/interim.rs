@@ -8,12 +8,14 @@ use crate::{
         deliver::Outbox,
         edges::TrackedSender,
         live::{InterimScan, Slot},
+        threads::idle_pool,
     },
     snapshot::ShadingSnapshot,
 };
 use depth_camera::{CameraInfo, Sensor};
 use std::{
     fs, io,
+    num::NonZeroUsize,
     path::{Path, PathBuf},
     thread::{self, JoinHandle},
 };
@@ -27,7 +29,7 @@ pub(super) struct Interim {
     pub(super) frame_id: u64,
 }
 
-/// Writes one scan at a time, on a thread of its own, so that capture goes on.
+/// Writes one scan at a time, on a thread of its own that yields to all others, so that capture goes on.
 pub(super) struct InterimWriter {
     info: CameraInfo,
     folder: PathBuf,
@@ -69,7 +71,12 @@ impl InterimWriter {
         let folder = self.folder.join(format!("interim-{number:03}"));
         let (info, events) = (self.info.clone(), events.clone());
         let write = move || {
-            let kind = match interim.write(&folder, &info) {
+            // What would be done by many threads is done by the one that yields, too.
+            let pool = idle_pool("interim", NonZeroUsize::MIN);
+            let written = pool
+                .map_err(|error| error.to_string())
+                .and_then(|pool| pool.install(|| interim.write(&folder, &info)));
+            let kind = match written {
                 Ok(()) => {
                     slot.write(Some(InterimScan { number, folder }));
                     EventKind::Interim { number }

@@ -13,6 +13,7 @@ use crate::{
         status::Phase,
         stop_depth::{ShadingOutcome, ShadingRequest},
     },
+    snapshot::RejectReason,
 };
 use crossbeam::channel::Receiver;
 use depth_camera::{CameraInfo, Frame, Sensor};
@@ -27,6 +28,10 @@ pub(super) struct Operator {
     pub(super) is_paused: bool,
     /// When a shading image was asked for: at the first frame after that.
     requested_secs: Option<f64>,
+    /// Whether its exposures were taken with depth stopped: what they come to is seen once depth is back.
+    is_exposed: bool,
+    /// Whether a frame without depth has come since.
+    was_without_depth: bool,
     /// Stops depth for a shading image; `None` where the operator covers the projector, or nothing has to be covered.
     shading: Option<ShadingRequest>,
     /// Writes down what there is, to be refined meanwhile.
@@ -38,6 +43,8 @@ impl Operator {
         Operator {
             is_paused: false,
             requested_secs: None,
+            is_exposed: false,
+            was_without_depth: false,
             shading,
             interim: InterimWriter::new(info, folder),
         }
@@ -89,43 +96,61 @@ impl FusionStage {
 
     fn request_snapshot(&mut self) {
         self.operator.requested_secs = None;
+        self.operator.is_exposed = false;
+        self.operator.was_without_depth = false;
         if let Some(selector) = &mut self.selector {
-            selector.request(true);
+            selector.request();
         }
         if let Some(shading) = &self.operator.shading {
             shading.ask();
         }
     }
 
-    /// Tells of a shading image that could not be had by stopping depth.
+    /// Hears how stopping depth for a shading image ended, and tells of one that could not be had.
     fn hear_of_shading(&mut self) {
         let outcome = self
             .operator
             .shading
             .as_ref()
             .and_then(ShadingRequest::take_outcome);
-        if let Some(ShadingOutcome::Refused(refusal)) = outcome {
-            if let Some(selector) = &mut self.selector {
-                selector.request(false);
+        match outcome {
+            Some(ShadingOutcome::Refused(refusal)) => {
+                if let Some(selector) = &mut self.selector {
+                    selector.cancel_request();
+                }
+                self.refuse("snapshot", refusal.to_string());
             }
-            self.refuse("snapshot", refusal.to_string());
+            Some(ShadingOutcome::Taken { .. }) => self.operator.is_exposed = true,
+            None => {}
         }
     }
 
-    /// Gives a shading image up that does not come, and tells what was wrong with the last frame.
+    /// Gives a shading image up that does not come, or whose exposures with depth stopped came to nothing, and tells what was wrong with
+    /// the last frame.
     pub(super) fn give_up_request(&mut self, frame: &Frame) {
         self.hear_of_shading();
         let Some(selector) = self.selector.as_mut().filter(|s| s.is_requested()) else {
             return;
         };
+        let operator = &mut self.operator;
         let now = frame.device_time_secs;
-        let since = *self.operator.requested_secs.get_or_insert(now);
-        if now - since < REQUEST_SECS || self.operator.interim.sensor() == Sensor::Kinect1 {
+        let since = *operator.requested_secs.get_or_insert(now);
+        let is_late = now - since >= REQUEST_SECS && operator.interim.sensor() != Sensor::Kinect1;
+        operator.was_without_depth |= frame.depth.is_none();
+        let is_over = operator.is_exposed && operator.was_without_depth;
+        let came_to_nothing = is_over && frame.depth.is_some() && !selector.is_exposing();
+        if !is_late && !came_to_nothing {
             return;
         }
-        selector.request(false);
-        let newest = selector.rejected().newest().last();
-        let last = newest.map(|rejection| rejection.reason);
+        selector.cancel_request();
+        let newest = selector.rejected().newest().iter().rev();
+        // Frames that show the projector again tell nothing of those before.
+        let last = newest.map(|rejection| rejection.reason).find(|reason| {
+            !matches!(
+                reason,
+                RejectReason::Speckle { .. } | RejectReason::Uncovered { .. }
+            )
+        });
         let reason = last.map_or_else(
             || "no infrared image came".to_owned(),
             |last| format!("{last}. {}", last.advice()),

@@ -117,13 +117,16 @@ impl FusionStage {
             model: self.fusion.model(),
         };
         let (n_before, was_requested) = (selector.n_accepted(), selector.is_requested());
+        let n_revoked = selector.n_revoked();
         let pool = &self.pool;
         self.selection_clock
             .time(|| pool.install(|| selector.observe(&tracked)));
         let n_snapshots = selector.n_accepted();
         let is_granted = was_requested && !selector.is_requested();
+        // A lit pose in place of an unlit one leaves the number as it was.
+        let has_replaced = selector.n_revoked() != n_revoked;
         self.showing.note(frame, selector.rejected());
-        if n_snapshots != n_before || is_granted {
+        if n_snapshots != n_before || is_granted || has_replaced {
             self.tell(frame, EventKind::Snapshot { n_snapshots });
         }
         self.give_up_request(frame);
@@ -147,12 +150,18 @@ mod tests {
     use super::*;
     use crate::{
         fusion::FusionParams,
-        pipeline::{edges, event_log::EventLog, given_poses::GivenPoses},
+        pipeline::{
+            command::Command,
+            edges,
+            event_log::EventLog,
+            given_poses::GivenPoses,
+            stop_depth::{ShadingOutcome, ShadingRequest},
+        },
     };
     use depth_camera::{DepthCamera, Image};
     use replay::TimedPose;
     use simulated::SimulatedCamera;
-    use std::time::Duration;
+    use std::time::{Duration, Instant};
 
     #[test]
     fn a_covered_frame_without_a_given_pose_shows_no_depth_and_is_not_lost() {
@@ -189,5 +198,81 @@ mod tests {
         let covered = later(depth.map(|_| 0.0));
         assert_eq!(stage.fuse(&covered), Some(TrackingOutcome::NoDepth));
         assert_eq!(stage.fuse(&later(depth)), None);
+    }
+
+    /// Shows a stage the first pose of a Kinect I, held still before and after two exposures of these counts without depth.
+    fn hold(stage: &mut FusionStage, first_id: u64, counts: u16) {
+        let held = TrackingOutcome::Tracked {
+            world_from_camera: Pose::identity(),
+            fit: None,
+        };
+        for (counts, frame_id) in [None, Some(counts), Some(counts), None]
+            .iter()
+            .zip(first_id..)
+        {
+            let frame = Frame {
+                frame_id,
+                device_time_secs: frame_id as f64 / 30.0,
+                host_time: Instant::now(),
+                depth: counts.is_none().then(|| Image::filled(640, 480, 0.6)),
+                ir: counts.map(|counts| Image::filled(640, 480, counts)),
+            };
+            let outcome = match counts {
+                Some(_) => TrackingOutcome::NoDepth,
+                None => held,
+            };
+            stage.consider(&Arc::new(frame), &outcome);
+        }
+    }
+
+    /// The shading images that were told of, and why others were refused.
+    fn told(log: &EventLog) -> Vec<EventKind> {
+        let kinds = log
+            .since(0)
+            .into_iter()
+            .map(|(_, event)| event.kind.clone());
+        let of_shading = kinds
+            .filter(|kind| matches!(kind, EventKind::Snapshot { .. } | EventKind::Refused { .. }));
+        of_shading.collect()
+    }
+
+    const TAKEN: EventKind = EventKind::Snapshot { n_snapshots: 1 };
+
+    #[test]
+    fn a_lit_pose_in_place_of_an_unlit_one_is_told() {
+        let info = SimulatedCamera::kinect1_plaque(1, 7).info().clone();
+        let (surfaces, _) = edges::surfaces();
+        let setup = setup(info, FusionParams::default(), surfaces);
+        let log = EventLog::default();
+        let (tracked, _told) = edges::tracked(&log);
+        let mut stage = FusionStage::new(setup, tracked);
+        hold(&mut stage, 0, 60);
+        hold(&mut stage, 4, 400);
+        assert_eq!(told(&log), [TAKEN, TAKEN]);
+    }
+
+    #[test]
+    fn exposures_with_depth_stopped_that_come_to_nothing_are_refused() {
+        let info = SimulatedCamera::kinect1_plaque(1, 7).info().clone();
+        let (surfaces, _) = edges::surfaces();
+        let request = ShadingRequest::default();
+        let setup = FusionSetup {
+            shading: Some(request.clone()),
+            ..setup(info, FusionParams::default(), surfaces)
+        };
+        let log = EventLog::default();
+        let (tracked, _told) = edges::tracked(&log);
+        let mut stage = FusionStage::new(setup, tracked);
+        hold(&mut stage, 0, 400);
+        stage.obey(Command::Snapshot);
+        request.answer(ShadingOutcome::Taken { n_exposures: 2 });
+        // The lamp is out.
+        hold(&mut stage, 4, 60);
+        let refused = EventKind::Refused {
+            command: "snapshot",
+            reason: "without the lamp, 15.0 % as bright as with it. Light the lamp.".to_owned(),
+        };
+        assert_eq!(told(&log), [TAKEN, refused]);
+        assert!(stage.selector.is_some_and(|s| !s.is_requested()));
     }
 }

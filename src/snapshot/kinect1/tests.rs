@@ -146,6 +146,36 @@ fn poses_without_the_lamp_are_no_shading_images_however_late_that_is_known() {
 }
 
 #[test]
+fn a_request_that_a_pose_without_the_lamp_met_stands_until_a_lit_one_comes() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let params = SnapshotParams {
+        max_snapshots: 1,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    let mut frame_id = 0;
+    let mut expose = |selector: &mut SnapshotSelector, counts| {
+        for shows in [Depth(0.0), Lamp(counts), Lamp(counts), Depth(0.0)] {
+            observe(selector, frame_id, shows);
+            frame_id += 1;
+        }
+    };
+    selector.request();
+    // A lit room, while nobody knows the lamp; something brighter, which it may be; and the lamp.
+    expose(&mut selector, 60);
+    assert_eq!((selector.is_requested(), selector.n_revoked()), (false, 0));
+    expose(&mut selector, 120);
+    expose(&mut selector, 400);
+    // One came for one: it is not the number that tells of it.
+    assert_eq!((selector.is_requested(), selector.n_revoked()), (false, 1));
+    // Two tell the same, and the one that was asked for is chosen.
+    let selection = selector.finish();
+    let accepted = selection.accepted.iter().map(|s| s.frame_id);
+    assert_eq!(accepted.collect::<Vec<_>>(), [9]);
+}
+
+#[test]
 fn a_group_during_which_the_camera_moved_is_refused_with_figures() {
     use Shows::*;
     let info = scenes::camera_info(Sensor::Kinect1);

@@ -97,7 +97,9 @@ fn a_fast_image_is_used_until_a_slow_one_tells_the_same() {
     let mut selector = SnapshotSelector::new(&info, params).unwrap();
     let plane = Plane::tilted(0.6, 0.3);
     let mut chosen_after = |frame_id: u64, time: f64, pose: Pose, is_requested: bool| {
-        selector.request(is_requested);
+        if is_requested {
+            selector.request();
+        }
         observe(&mut selector, &plane, (frame_id, time), &pose, 20_000);
         let chosen = selector.selection().accepted;
         let chosen = chosen.iter().map(|s| s.frame_id);
@@ -133,7 +135,7 @@ fn the_image_in_which_a_lost_camera_is_found_is_not_taken_for_a_sharp_one() {
             outcome: &outcome,
             model: Some(&model),
         });
-        selector.request(true);
+        selector.request();
         observe(&mut selector, &plane, at(1), &here, 20_000);
         assert!(selector.is_requested(), "how fast it moved is not known");
         observe(&mut selector, &plane, at(2), &here, 20_000);
@@ -212,7 +214,7 @@ fn an_image_that_is_asked_for_waits_for_a_good_frame() {
         observe(selector, &plane, at, &Pose::identity(), counts);
     };
     observe(&mut selector, 0, 20_000);
-    selector.request(true);
+    selector.request();
     // Saturated: the gates of quality hold for what is asked for too.
     observe(&mut selector, 1, 65_535);
     assert!(selector.is_requested());
