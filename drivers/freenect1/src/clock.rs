@@ -2,20 +2,27 @@
 //!
 //! The firmware stops the stamps of the IR stream while the depth stream is off, and a device that was plugged in anew starts
 //! from anywhere. Device time goes on all the same: where ticks cannot be right, the host's clock says how much has passed.
-//! The host's clock is used for nothing else here.
+//! The host's clock is used for nothing else here: an image was taken before it arrived, and after a stall of the host one arrives long
+//! after it was taken, with the next one, taken after the stall, at once behind it.
 
 use std::time::Instant;
 
 /// Ticks in a second.
 pub const TICKS_PER_SEC: f64 = 60e6;
 
-/// Ticks and host may disagree by so much between two stamps: frames wait for their packets and for a busy host.
-const MAX_DISAGREEMENT_SECS: f64 = 0.25;
+/// A stamp may be so much older than the newest one, or newer than the host's clock says: the two streams' images come in either order,
+/// and the punctual one waited for its packets too. A quarter of a second, arbitrary.
+const TOLERANCE_TICKS: i64 = 15_000_000;
+
+/// The two clocks run apart by no more than one part in so many: a millisecond a second.
+const DRIFT: i64 = 1000;
 
 /// Device time without wraps, jumps and halts.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceClock {
     newest: Option<Reading>,
+    /// The last one whose image came as soon as any: by it the host's clock says what time it is on the device.
+    punctual: Option<Reading>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -28,31 +35,44 @@ struct Reading {
 
 impl DeviceClock {
     /// Device time of a stamp that was read at `host`, seconds.
+    ///
+    /// An image cannot have been taken after it arrived, nor, but for the other stream's, before one that came earlier. Between the two
+    /// its stamp is right, however late it comes.
     pub fn at(&mut self, ticks: u32, host: Instant) -> f64 {
-        let Some(newest) = self.newest else {
-            return self.keep(ticks, host, i64::from(ticks));
+        let (Some(newest), Some(punctual)) = (self.newest, self.punctual) else {
+            return self.keep_punctual(ticks, host, i64::from(ticks));
         };
-        let by_host = ticks_between(newest.host, host);
-        // Two stamps are never half a wrap apart where host and device agree; one may be a little older than the other.
-        let by_ticks = i64::from(ticks.wrapping_sub(newest.ticks) as i32);
-        let disagreement = (by_ticks - by_host).abs() as f64 / TICKS_PER_SEC;
-        let passed = match disagreement <= MAX_DISAGREEMENT_SECS {
-            true => by_ticks,
-            false => by_host,
-        };
-        self.keep(ticks, host, newest.total + passed)
+        let by_host = ticks_between(punctual.host, host);
+        let by_ticks = i64::from(ticks.wrapping_sub(punctual.ticks));
+        // With the number of wraps that makes it the least.
+        let late = i64::from((by_host - by_ticks) as i32);
+        let total = punctual.total + by_host - late;
+        let is_possible = late >= -TOLERANCE_TICKS && total >= newest.total - TOLERANCE_TICKS;
+        match is_possible {
+            true if late <= by_host / DRIFT => self.keep_punctual(ticks, host, total),
+            true => self.keep(ticks, host, total),
+            false => self.keep_punctual(ticks, host, punctual.total + by_host),
+        }
     }
 
     /// Device time at `host`, seconds, while stamps stand still.
     pub fn without_stamp(&mut self, host: Instant) -> f64 {
         let Some(newest) = self.newest else {
-            return self.keep(0, host, 0);
+            return self.keep_punctual(0, host, 0);
         };
-        (newest.total + ticks_between(newest.host, host)) as f64 / TICKS_PER_SEC
+        let total = newest.total + ticks_between(newest.host, host);
+        self.keep(newest.ticks, host, total)
+    }
+
+    fn keep_punctual(&mut self, ticks: u32, host: Instant, total: i64) -> f64 {
+        self.punctual = Some(Reading { ticks, host, total });
+        self.keep(ticks, host, total)
     }
 
     fn keep(&mut self, ticks: u32, host: Instant, total: i64) -> f64 {
-        self.newest = Some(Reading { ticks, host, total });
+        if self.newest.is_none_or(|newest| newest.total <= total) {
+            self.newest = Some(Reading { ticks, host, total });
+        }
         total as f64 / TICKS_PER_SEC
     }
 }
@@ -102,6 +122,35 @@ mod tests {
             start + Duration::from_millis(2),
         );
         assert_close(older - first, -0.01);
+    }
+
+    #[test]
+    fn stamps_that_go_back_step_by_step_are_not_followed() {
+        let start = Instant::now();
+        let mut clock = DeviceClock::default();
+        let first = clock.at(60_000_000, start);
+        for (millis, ticks, expected) in [(10, 48_000_000, -0.2), (20, 36_000_000, 0.02)] {
+            let host = start + Duration::from_millis(millis);
+            assert_close(clock.at(ticks, host) - first, expected);
+        }
+    }
+
+    #[test]
+    fn an_image_that_a_stall_of_the_host_held_back_keeps_its_own_time() {
+        let start = Instant::now();
+        let at = |millis| start + Duration::from_millis(millis);
+        let ticks = |millis: u64| (u32::MAX - 1_000_000).wrapping_add((60_000 * millis) as u32);
+        for stall in [450, 1900, 20_000] {
+            let mut clock = DeviceClock::default();
+            let first = clock.at(ticks(0), at(0));
+            // Taken before the stall and read after it, and at once behind it one that was taken meanwhile.
+            let held_back = (33, 33 + stall);
+            let next = (33 + stall, 35 + stall);
+            for (taken, read) in [held_back, next, (66 + stall, 67 + stall)] {
+                let time = clock.at(ticks(taken), at(read)) - first;
+                assert_close(time, 1e-3 * taken as f64);
+            }
+        }
     }
 
     #[test]
