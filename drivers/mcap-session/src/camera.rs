@@ -12,7 +12,8 @@ use replay::{DepthScale, Pacer, Pacing, SAME_MOMENT_SECS, WriteError};
 use crate::{
     error::RecordingError,
     folder,
-    messages::{Encoding, ImageMessage, Stamp, stamp_of},
+    images::{Form, PackedImage, Pixels},
+    messages::{Stamp, stamp_of},
     open_lock::OpenLock,
     plan::{self, Kind, Plan},
     reader::{MessageReader, Step},
@@ -31,6 +32,7 @@ const MAX_PENDING_BYTES: usize = 256 << 20;
 /// An image message that waits for its place.
 struct PendingImage {
     sequence: u32,
+    form: Form,
     message: Vec<u8>,
 }
 
@@ -135,6 +137,8 @@ impl McapCamera {
             };
             let image = PendingImage {
                 sequence: message.header.sequence,
+                // A segment may have lost what its messages are.
+                form: Form::of(channel).unwrap_or(Form::Plain),
                 message: message.data.to_vec(),
             };
             *bytes += image.message.len();
@@ -215,42 +219,33 @@ impl McapCamera {
     }
 
     fn depth(&self, pending: &PendingImage) -> Result<Image<f32>, String> {
-        let image = self.image(&pending.message)?;
         let scale = self.plan.depth_scale;
-        let metres = match image.encoding {
-            Encoding::F32 => image.f32_pixels().into_iter().map(measured).collect(),
-            Encoding::U16 | Encoding::Mono16 => image
-                .u16_pixels()
-                .into_iter()
-                .map(|units| scale.metres(units))
-                .collect(),
-        };
-        Ok(Image::from_vec(image.width, image.height, metres))
+        Ok(match self.pixels(pending)? {
+            Pixels::Metres(metres) => metres.map(|&metres| measured(metres)),
+            Pixels::U16(units) => units.map(|&units| scale.metres(units)),
+        })
     }
 
     fn infrared(&self, pending: &PendingImage) -> Result<Image<u16>, String> {
-        let image = self.image(&pending.message)?;
-        if image.encoding == Encoding::F32 {
-            return Err("IR in 32FC1, must be mono16 or 16UC1".to_owned());
+        match self.pixels(pending)? {
+            Pixels::U16(counts) => Ok(counts),
+            Pixels::Metres(_) => Err("IR in 32FC1, must be mono16 or 16UC1".to_owned()),
         }
-        Ok(Image::from_vec(
-            image.width,
-            image.height,
-            image.u16_pixels(),
-        ))
     }
 
-    /// An image of the size that the camera promises.
-    fn image<'a>(&self, message: &'a [u8]) -> Result<ImageMessage<'a>, String> {
-        let image = ImageMessage::decode(message).map_err(|error| error.to_string())?;
+    /// The pixels of an image of the size that the camera promises.
+    fn pixels(&self, pending: &PendingImage) -> Result<Pixels, String> {
+        let image = PackedImage::decode(pending.form, &pending.message);
+        let image = image.map_err(|error| error.to_string())?;
+        let (width, height) = image.size();
         let i = &self.plan.info.intrinsics;
-        if (image.width, image.height) != (i.width, i.height) {
+        if (width, height) != (i.width, i.height) {
             return Err(format!(
-                "{}×{} pixels, expected {}×{}",
-                image.width, image.height, i.width, i.height
+                "{width}×{height} pixels, expected {}×{}",
+                i.width, i.height
             ));
         }
-        Ok(image)
+        image.pixels().map_err(|error| error.to_string())
     }
 
     /// The end of the stream; before it, once, what is missing.

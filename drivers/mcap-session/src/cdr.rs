@@ -1,18 +1,21 @@
-//! CDR, the encoding of ROS 2 messages: little endian, every number aligned to its size behind a header of four bytes.
+//! CDR, the encoding of ROS 2 messages: every number aligned to its size behind a header of four bytes. It is written little endian and
+//! read in either order.
 //!
 //! Strings are `uint32` length (with the closing zero), bytes and zero; sequences are `uint32` count and items; arrays are items
-//! alone. Not handled: big endian, wide strings, and the parameter lists of later versions, which ROS 2 does not write.
+//! alone. Not handled: wide strings, and the parameter lists of later versions, which ROS 2 does not write.
 
 use std::str;
 
 /// Plain CDR, little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+/// The same, big endian.
+const BIG_ENDIAN: [u8; 4] = [0, 0, 0, 0];
 
 /// Why bytes are not the message that they should be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// The first four bytes announce another encoding.
-    #[error("encapsulation {0:02x?}, must be plain little endian CDR {ENCAPSULATION:02x?}")]
+    #[error("encapsulation {0:02x?}, must be plain CDR: {ENCAPSULATION:02x?} or {BIG_ENDIAN:02x?}")]
     Encapsulation([u8; 4]),
     /// The message ends too early.
     #[error("the message ends in {field}, which needs {needed} bytes where {left} are left")]
@@ -107,6 +110,7 @@ impl Encoder {
 pub struct Decoder<'a> {
     body: &'a [u8],
     at: usize,
+    is_big_endian: bool,
 }
 
 impl<'a> Decoder<'a> {
@@ -123,10 +127,15 @@ impl<'a> Decoder<'a> {
             });
         };
         // The last two bytes are options, which say nothing of how to read.
-        if head[..2] != ENCAPSULATION[..2] {
+        let is_big_endian = head[..2] == BIG_ENDIAN[..2];
+        if !is_big_endian && head[..2] != ENCAPSULATION[..2] {
             return Err(CdrError::Encapsulation(*head));
         }
-        Ok(Decoder { body, at: 0 })
+        Ok(Decoder {
+            body,
+            at: 0,
+            is_big_endian,
+        })
     }
 
     /// `uint8` or `bool`.
@@ -209,9 +218,14 @@ impl<'a> Decoder<'a> {
         self.take(field, 1, length)
     }
 
+    /// The bytes of a number, the least first.
     fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], CdrError> {
         let bytes = self.take(field, N, N)?;
-        Ok(std::array::from_fn(|index| bytes[index]))
+        let mut bytes: [u8; N] = std::array::from_fn(|index| bytes[index]);
+        if self.is_big_endian {
+            bytes.reverse();
+        }
+        Ok(bytes)
     }
 
     fn take(

@@ -20,6 +20,14 @@ pub struct Channel {
     pub encoding: String,
 }
 
+impl Channel {
+    /// Whether its messages are of that type of `sensor_msgs`. In bags of ROS 1 types have no `msg/` in their names.
+    pub fn carries_sensor_msg(&self, name: &str) -> bool {
+        let of_package = self.message_type.strip_prefix("sensor_msgs/");
+        of_package.is_some_and(|rest| rest.strip_prefix("msg/").unwrap_or(rest) == name)
+    }
+}
+
 /// The definitions of a file so far.
 #[derive(Clone, Debug, Default)]
 pub struct Definitions {

@@ -1,8 +1,9 @@
 //! Bags that other ROS 2 nodes recorded: which of their topics are depth and IR of one camera.
 //!
 //! Depth is an image in `16UC1` (millimetres, as ROS has it) or `32FC1` (metres); IR is one in `mono16`, or in `16UC1` on a topic
-//! named for it; both of one size, with a `CameraInfo` beside them. 512×424 pixels are a Kinect II with its emitter; other sizes
-//! are taken for structured light, whose IR without a known lamp is of no use here and is left out.
+//! named for it; both of one size, with a `CameraInfo` beside them. What is there in both forms is read where it is not compressed.
+//! 512×424 pixels are a Kinect II with its emitter; other sizes are taken for structured light, whose IR without a known lamp is of
+//! no use here and is left out.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -11,9 +12,9 @@ use replay::DepthScale;
 
 use crate::{
     contents::Channel,
-    messages::{CameraInfoMessage, Encoding, ImageMessage, PLUMB_BOB},
+    images::{Form, PackedImage},
+    messages::{CameraInfoMessage, Encoding, ImageError, PLUMB_BOB},
     plan::Plan,
-    streams::{CAMERA_INFO, IMAGE},
 };
 
 /// ROS has depth of 16 bits in millimetres.
@@ -33,27 +34,36 @@ pub struct Bag {
 /// What an image topic carries.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Seen {
+    form: Form,
     encoding: Encoding,
     size: (usize, usize),
+}
+
+impl Seen {
+    fn of(form: Form, message: &[u8]) -> Result<Self, ImageError> {
+        let image = PackedImage::decode(form, message)?;
+        Ok(Seen {
+            form,
+            encoding: image.encoding(),
+            size: image.size(),
+        })
+    }
 }
 
 impl Bag {
     /// Looks at a message.
     pub fn see(&mut self, channel: &Channel, message: &[u8]) {
         let topic = &channel.topic;
-        if channel.message_type == IMAGE.name && !self.images.contains_key(topic) {
+        if let Some(form) = Form::of(channel)
+            && !self.images.contains_key(topic)
+        {
             let seen = match channel.encoding.as_str() {
-                "cdr" => ImageMessage::decode(message)
-                    .map(|image| Seen {
-                        encoding: image.encoding,
-                        size: (image.width, image.height),
-                    })
-                    .map_err(|error| error.to_string()),
+                "cdr" => Seen::of(form, message).map_err(|error| error.to_string()),
                 other => Err(format!("encoding \"{other}\" of messages, must be cdr")),
             };
             self.images.insert(topic.clone(), seen);
         }
-        if channel.message_type == CAMERA_INFO.name
+        if channel.carries_sensor_msg("CameraInfo")
             && !self.infos.contains_key(topic)
             && let Ok(info) = CameraInfoMessage::decode(message)
         {
@@ -81,7 +91,7 @@ fn choose(path: &Path, bag: &Bag) -> Result<Plan, String> {
         Encoding::U16 => !is_named_infrared(topic),
         Encoding::Mono16 => false,
     };
-    let depth: Vec<_> = images.iter().filter(is_depth).collect();
+    let depth = plain_first(images.iter().filter(is_depth).copied().collect());
     let [(depth_topic, depth)] = depth.as_slice() else {
         return Err(match depth.is_empty() {
             true => format!(
@@ -107,7 +117,7 @@ fn choose(path: &Path, bag: &Bag) -> Result<Plan, String> {
         };
         brightness && seen.size == depth.size && is_rectified(topic) == is_rectified(depth_topic)
     };
-    let infrared: Vec<_> = images.iter().filter(is_infrared).collect();
+    let infrared = plain_first(images.iter().filter(is_infrared).copied().collect());
     let infrared_topic = match (sensor, infrared.as_slice()) {
         (Sensor::Kinect1, _) | (_, []) => None,
         (Sensor::Kinect2, [(topic, _)]) => Some((*topic).clone()),
@@ -138,6 +148,13 @@ fn choose(path: &Path, bag: &Bag) -> Result<Plan, String> {
         },
         is_numbered: false,
     })
+}
+
+/// Of topics those that are not compressed, if there are any: image_transport offers one image in both forms.
+fn plain_first(topics: Vec<(&String, Seen)>) -> Vec<(&String, Seen)> {
+    let is_plain = |(_, seen): &&(&String, Seen)| seen.form == Form::Plain;
+    let plain: Vec<_> = topics.iter().filter(is_plain).copied().collect();
+    if plain.is_empty() { topics } else { plain }
 }
 
 /// The camera whose topic shares most with that of the images.
@@ -241,8 +258,12 @@ fn found(bag: &Bag) -> String {
     }
     let said = bag.images.iter().map(|(topic, seen)| match seen {
         Ok(seen) => format!(
-            "{topic} ({}, {}×{})",
+            "{topic} ({}{}, {}×{})",
             seen.encoding.name(),
+            match seen.form {
+                Form::Plain => "",
+                Form::Compressed => " compressed",
+            },
             seen.size.0,
             seen.size.1
         ),

@@ -11,7 +11,8 @@
 //! as they are whole ([`McapCamera`]), and mended in place ([`repair()`]). What is read may be damaged or hostile: lengths are
 //! checked against the file and against limits before anything is allocated, checksums before anything is believed.
 //!
-//! Not handled: chunks compressed with lz4, images of 8 bits or in colour, more than one camera in a bag.
+//! Not handled: chunks compressed with lz4, images of 8 bits, in colour or compressed otherwise than by PNG, more than one camera in a
+//! bag.
 
 mod camera;
 mod params;
@@ -26,6 +27,7 @@ mod foreign;
 mod plan;
 
 mod cdr;
+mod images;
 pub mod messages;
 pub mod streams;
 

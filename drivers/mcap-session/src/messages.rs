@@ -1,8 +1,15 @@
 //! The ROS 2 messages of a recording, field by field as their definitions in [`crate::streams`] give them.
 
+mod compressed;
+mod image_error;
+
 use depth_camera::Intrinsics;
 
 use crate::cdr::{CdrError, Decoder, Encoder};
+use image_error::check_size;
+
+pub use compressed::CompressedMessage;
+pub use image_error::ImageError;
 
 /// A larger image is no depth image: limits what a damaged or hostile file can ask for.
 pub const MAX_SIDE_PX: u32 = 4096;
@@ -119,44 +126,6 @@ impl Encoding {
     }
 }
 
-/// Why an image cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ImageError {
-    /// It is no image message.
-    #[error(transparent)]
-    Cdr(#[from] CdrError),
-    /// Its pixels are stored in a way that is not read here.
-    #[error("encoding \"{0}\", must be 16UC1, mono16 or 32FC1")]
-    Encoding(String),
-    /// Its pixels are big endian.
-    #[error("is_bigendian is 1, must be 0")]
-    BigEndian,
-    /// It is empty or larger than any depth image.
-    #[error("{width}×{height} pixels, must be 1 to {MAX_SIDE_PX} each")]
-    Size {
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-    },
-    /// Its rows do not fit their length or the image's.
-    #[error(
-        "{n_bytes} bytes in rows of {step}, too few for {width}×{height} pixels of {pixel} bytes"
-    )]
-    Data {
-        /// Bytes of pixels.
-        n_bytes: usize,
-        /// Bytes from row to row.
-        step: u32,
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-        /// Bytes of one pixel.
-        pixel: usize,
-    },
-}
-
 /// `sensor_msgs/Image` of one channel, checked: rows and pixels are there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageMessage<'a> {
@@ -168,6 +137,7 @@ pub struct ImageMessage<'a> {
     pub height: usize,
     /// How pixels are stored.
     pub encoding: Encoding,
+    is_big_endian: bool,
     step: usize,
     data: &'a [u8],
 }
@@ -185,14 +155,10 @@ impl<'a> ImageMessage<'a> {
         let encoding = message.string("encoding")?;
         let encoding =
             Encoding::from_name(encoding).ok_or_else(|| ImageError::Encoding(encoding.into()))?;
-        if message.u8("is_bigendian")? != 0 {
-            return Err(ImageError::BigEndian);
-        }
+        let is_big_endian = message.u8("is_bigendian")? != 0;
         let step = message.u32("step")?;
         let data = message.bytes("data")?;
-        if !(1..=MAX_SIDE_PX).contains(&width) || !(1..=MAX_SIDE_PX).contains(&height) {
-            return Err(ImageError::Size { width, height });
-        }
+        check_size(width, height)?;
         let pixel = encoding.bytes_per_pixel();
         let row = width as usize * pixel;
         let needed = (height as usize - 1).saturating_mul(step as usize) + row;
@@ -210,6 +176,7 @@ impl<'a> ImageMessage<'a> {
             width: width as usize,
             height: height as usize,
             encoding,
+            is_big_endian,
             step: step as usize,
             data,
         })
@@ -217,17 +184,19 @@ impl<'a> ImageMessage<'a> {
 
     /// The pixels of a 16-bit image, row by row; none of another.
     pub fn u16_pixels(&self) -> Vec<u16> {
-        match self.encoding {
-            Encoding::F32 => Vec::new(),
-            Encoding::U16 | Encoding::Mono16 => self.pixels(u16::from_le_bytes),
+        match (self.encoding, self.is_big_endian) {
+            (Encoding::F32, _) => Vec::new(),
+            (Encoding::U16 | Encoding::Mono16, false) => self.pixels(u16::from_le_bytes),
+            (Encoding::U16 | Encoding::Mono16, true) => self.pixels(u16::from_be_bytes),
         }
     }
 
     /// The pixels of a `32FC1` image, row by row; none of another.
     pub fn f32_pixels(&self) -> Vec<f32> {
-        match self.encoding {
-            Encoding::F32 => self.pixels(f32::from_le_bytes),
-            Encoding::U16 | Encoding::Mono16 => Vec::new(),
+        match (self.encoding, self.is_big_endian) {
+            (Encoding::F32, false) => self.pixels(f32::from_le_bytes),
+            (Encoding::F32, true) => self.pixels(f32::from_be_bytes),
+            (Encoding::U16 | Encoding::Mono16, _) => Vec::new(),
         }
     }
 

@@ -103,16 +103,15 @@ fn of_description(path: &Path, topic: &str, message: &[u8]) -> Result<Plan, Came
     let text = decode_string(message)
         .map_err(|error| CameraError::Invalid(format!("{}: {topic}: {error}", path.display())))?;
     let session = SessionFile::parse(path, text)?;
-    let with_infrared = session.has_infrared();
-    let info = session.camera_info(path, with_infrared)?;
+    let info = session.camera_info(path, session.images())?;
     let beside = |stream: Stream| {
         let stem = topic.strip_suffix(Stream::Session.suffix());
         format!("{}{}", stem.unwrap_or_default(), stream.suffix())
     };
     Ok(Plan {
-        info,
         depth_topic: beside(Stream::Depth),
-        infrared_topic: with_infrared.then(|| beside(Stream::Infrared)),
+        infrared_topic: info.has_infrared().then(|| beside(Stream::Infrared)),
+        info,
         depth_scale: session.depth_scale(),
         is_numbered: true,
     })

@@ -45,6 +45,8 @@ pub struct Scan {
     /// Bytes of the file.
     pub file_length: u64,
     has_header: bool,
+    /// Whether message indexes belong to the last of the chunks: not behind a damaged one.
+    takes_indexes: bool,
     recent_frames: BTreeSet<u32>,
 }
 
@@ -115,13 +117,11 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
     if walk.is_own() {
         scan.definitions.add_own();
     }
-    // The chunk that message indexes belong to; none behind a damaged one.
-    let mut indexed = false;
     while let Some(piece) = walk.next().map_err(io_error(path))? {
         let (offset, length, looked_at) = match piece {
             Piece::Chunk(chunk) => {
                 let looked_at = scan.chunk(&chunk);
-                indexed = looked_at.is_ok();
+                scan.takes_indexes = looked_at.is_ok();
                 (chunk.offset, chunk.length, looked_at)
             }
             Piece::Record {
@@ -129,7 +129,7 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
                 offset,
                 body,
             } => {
-                let looked_at = scan.record(opcode, offset, &body, indexed);
+                let looked_at = scan.record(opcode, offset, &body);
                 (offset, HEAD + body.len() as u64, looked_at)
             }
             Piece::PassedOver => continue,
@@ -138,7 +138,7 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
                 length,
                 what,
             } => {
-                indexed = false;
+                scan.takes_indexes = false;
                 scan.pass_over(offset, length, what);
                 continue;
             }
@@ -223,13 +223,7 @@ impl Scan {
     }
 
     /// Takes up another record, or says what is wrong with it.
-    fn record(
-        &mut self,
-        opcode: u8,
-        offset: u64,
-        body: &[u8],
-        indexed: bool,
-    ) -> Result<(), String> {
+    fn record(&mut self, opcode: u8, offset: u64, body: &[u8]) -> Result<(), String> {
         match opcode {
             op::HEADER => {
                 self.has_header = true;
@@ -242,16 +236,16 @@ impl Scan {
                 self.count(&definitions, &header);
                 self.definitions = definitions;
             }
-            op::MESSAGE_INDEX => self.message_index(offset, body, indexed)?,
+            op::MESSAGE_INDEX => self.message_index(offset, body)?,
             _ => {}
         }
         Ok(())
     }
 
     /// Takes up an index if it belongs to a good chunk and agrees with it.
-    fn message_index(&mut self, offset: u64, body: &[u8], indexed: bool) -> Result<(), String> {
+    fn message_index(&mut self, offset: u64, body: &[u8]) -> Result<(), String> {
         let length = HEAD + body.len() as u64;
-        let chunk = self.chunks.last_mut().filter(|_| indexed);
+        let chunk = self.chunks.last_mut().filter(|_| self.takes_indexes);
         let index = match mcap::parse_record(op::MESSAGE_INDEX, body) {
             Ok(Record::MessageIndex(index)) => Some(index),
             _ => None,

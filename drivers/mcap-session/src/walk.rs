@@ -201,8 +201,44 @@ impl Walk {
         }
         let mut bytes = vec![0; body as usize];
         self.file.read_exact(&mut bytes)?;
-        let understood = understood(opcode, offset, bytes, self.is_own);
+        let understood = self.understood(opcode, offset, bytes);
         Ok(understood.map(|piece| (piece, HEAD + body)))
+    }
+
+    /// A record whose length agrees with what it holds.
+    fn understood(&self, opcode: u8, offset: u64, body: Vec<u8>) -> Result<Piece, String> {
+        let parsed = mcap::parse_record(opcode, &body).map_err(|error| describe(opcode, &error))?;
+        match parsed {
+            Record::Chunk { header, data } => {
+                Chunk::new(offset, body.len(), header, data.into_owned()).map(Piece::Chunk)
+            }
+            Record::Header(header) if self.is_own && !is_own_header(&header, body.len()) => {
+                Err(format!(
+                    "a header of profile \"{}\" and library \"{}\", which Relief does not write",
+                    header.profile, header.library
+                ))
+            }
+            Record::DataEnd(end) if body.len() == 4 => Ok(Piece::DataEnd {
+                offset,
+                saved_crc: end.data_section_crc,
+            }),
+            Record::DataEnd(_) => Err(format!(
+                "a record of the data's end of {} bytes",
+                body.len()
+            )),
+            Record::MessageIndex(index) if body.len() != 6 + 16 * index.records.len() => {
+                Err(format!(
+                    "an index of {} messages in {} bytes",
+                    index.records.len(),
+                    body.len()
+                ))
+            }
+            _ => Ok(Piece::Record {
+                opcode,
+                offset,
+                body,
+            }),
+        }
     }
 
     /// Goes on behind a record whose contents are damaged; the bytes that are lost with it. Its length is not believed if it reaches
@@ -283,38 +319,6 @@ fn is_written(opcode: u8, offset: u64) -> bool {
         op::HEADER => offset == MAGIC.len() as u64,
         op::CHUNK | op::MESSAGE_INDEX | op::DATA_END | PASSED_OVER => true,
         _ => false,
-    }
-}
-
-/// A record whose length agrees with what it holds.
-fn understood(opcode: u8, offset: u64, body: Vec<u8>, is_own: bool) -> Result<Piece, String> {
-    let parsed = mcap::parse_record(opcode, &body).map_err(|error| describe(opcode, &error))?;
-    match parsed {
-        Record::Chunk { header, data } => {
-            Chunk::new(offset, body.len(), header, data.into_owned()).map(Piece::Chunk)
-        }
-        Record::Header(header) if is_own && !is_own_header(&header, body.len()) => Err(format!(
-            "a header of profile \"{}\" and library \"{}\", which Relief does not write",
-            header.profile, header.library
-        )),
-        Record::DataEnd(end) if body.len() == 4 => Ok(Piece::DataEnd {
-            offset,
-            saved_crc: end.data_section_crc,
-        }),
-        Record::DataEnd(_) => Err(format!(
-            "a record of the data's end of {} bytes",
-            body.len()
-        )),
-        Record::MessageIndex(index) if body.len() != 6 + 16 * index.records.len() => Err(format!(
-            "an index of {} messages in {} bytes",
-            index.records.len(),
-            body.len()
-        )),
-        _ => Ok(Piece::Record {
-            opcode,
-            offset,
-            body,
-        }),
     }
 }
 

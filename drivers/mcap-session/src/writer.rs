@@ -78,7 +78,7 @@ impl SegmentWriter {
         let name = name.as_deref().unwrap_or("recording");
         let described = SessionFile::of_camera(name, info, params.depth_units_per_metre);
         described
-            .camera_info(folder, has_infrared(info))
+            .camera_info(folder, described.images())
             .map_err(WriteError::Camera)?;
         check_size(folder, info)?;
         let description = described.to_text(folder).map_err(WriteError::Camera)?;
@@ -287,7 +287,7 @@ impl SegmentWriter {
                 reason,
             })
         };
-        check_frame(frame, &self.info.intrinsics, has_infrared(&self.info)).map_err(refuse)?;
+        check_frame(frame, &self.info).map_err(refuse)?;
         let secs = frame.device_time_secs;
         let stamp = Stamp::from_secs(secs).ok_or_else(|| {
             refuse(format!(
@@ -361,10 +361,6 @@ impl SegmentWriter {
     fn ended(&self) -> RecordingError {
         RecordingError::Ended(self.folder.clone())
     }
-}
-
-fn has_infrared(info: &CameraInfo) -> bool {
-    info.ir_full_scale.is_some() || info.light.is_some()
 }
 
 fn header(stamp: Stamp) -> Header {

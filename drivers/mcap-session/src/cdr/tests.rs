@@ -114,11 +114,28 @@ fn numbers_are_aligned_behind_the_header() {
 }
 
 #[test]
+fn big_endian_messages_are_read() {
+    let message = [
+        &[0, 0, 0, 0][..],
+        &[9, 0, 0, 0, 0, 0, 0, 0],
+        &1.5f64.to_be_bytes(),
+        &7u32.to_be_bytes(),
+        &[0, 0, 0, 3, b'a', b'b', 0],
+    ]
+    .concat();
+    let mut decoder = Decoder::new(&message).unwrap();
+    assert_eq!(decoder.u8("u8").unwrap(), 9);
+    assert_eq!(decoder.f64s("f64s").unwrap(), [1.5]);
+    assert_eq!(decoder.u32("u32").unwrap(), 7);
+    assert_eq!(decoder.string("text").unwrap(), "ab");
+}
+
+#[test]
 fn other_encodings_are_named() {
-    let error = Decoder::new(&[0, 0, 0, 0, 1]).unwrap_err();
+    let error = Decoder::new(&[0, 3, 0, 0, 1]).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "encapsulation [00, 00, 00, 00], must be plain little endian CDR [00, 01, 00, 00]"
+        "encapsulation [00, 03, 00, 00], must be plain CDR: [00, 01, 00, 00] or [00, 00, 00, 00]"
     );
     let mut decoder = Decoder::new(&[0, 1, 0, 0, 9, 0, 0, 0]).unwrap();
     assert_eq!(

@@ -58,14 +58,24 @@ proptest! {
 
 /// A `32FC1` image whose rows are `step` bytes long.
 fn float_image(width: u32, height: u32, step: u32, data: &[u8]) -> Vec<u8> {
+    packed_image(("32FC1", 0), (width, height), step, data)
+}
+
+/// An image of an encoding, with `is_bigendian`, whose rows are `step` bytes long.
+fn packed_image(
+    (encoding, is_bigendian): (&str, u8),
+    (width, height): (u32, u32),
+    step: u32,
+    data: &[u8],
+) -> Vec<u8> {
     let mut out = Encoder::with_capacity(0);
     out.i32(7);
     out.u32(500_000_000);
     out.string("x");
     out.u32(height);
     out.u32(width);
-    out.string("32FC1");
-    out.u8(0);
+    out.string(encoding);
+    out.u8(is_bigendian);
     out.u32(step);
     out.u32(data.len() as u32);
     for &byte in data {
@@ -83,6 +93,18 @@ fn rows_may_be_longer_than_their_pixels() {
     assert_eq!(image.f32_pixels(), [1.0, 2.0, 3.0, 4.0]);
     assert_eq!(image.header.stamp.secs(), 7.5);
     assert!(image.u16_pixels().is_empty());
+}
+
+#[test]
+fn big_endian_pixels_are_read() {
+    let metres = [1.5f32, -2.0].map(f32::to_be_bytes).concat();
+    let message = packed_image(("32FC1", 1), (2, 1), 8, &metres);
+    let image = ImageMessage::decode(&message).unwrap();
+    assert_eq!(image.f32_pixels(), [1.5, -2.0]);
+    // The second row behind two bytes of nothing.
+    let message = packed_image(("mono16", 1), (1, 2), 4, &[1, 2, 9, 9, 3, 4]);
+    let image = ImageMessage::decode(&message).unwrap();
+    assert_eq!(image.u16_pixels(), [0x0102, 0x0304]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::{fs::File, io, time::Instant};
 
-use super::{OpenSegment, SegmentWriter, has_infrared, header, unix_ns};
+use super::{OpenSegment, SegmentWriter, header, unix_ns};
 use crate::{
     bag_metadata,
     disk::free_bytes,
@@ -25,7 +25,7 @@ impl SegmentWriter {
         let camera = CameraInfoMessage::of_intrinsics(header(newest), &self.info.intrinsics);
         let camera = camera.encode();
         self.append_next(Stream::DepthInfo, newest, &camera)?;
-        if has_infrared(&self.info) {
+        if self.info.has_infrared() {
             self.append_next(Stream::InfraredInfo, newest, &camera)?;
         }
         let stats = encode_string(&self.stats());

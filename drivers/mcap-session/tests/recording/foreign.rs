@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use depth_camera::{DepthCamera, Intrinsics, Light, Sensor};
+use depth_camera::{DepthCamera, Image, Intrinsics, Light, Sensor};
 use mcap::{Compression, WriteOptions, records::MessageHeader};
 use mcap_session::{
     McapCamera,
@@ -214,6 +214,62 @@ fn depth_in_metres_of_another_camera_is_read_without_its_infrared() {
     let depth = played.frames[0].depth.as_ref().unwrap();
     assert_eq!(depth.data()[..2], [0.0, 1.25]);
     assert!(played.frames[0].ir.is_none());
+}
+
+const COMPRESSED: Schema = Schema {
+    name: "sensor_msgs/msg/CompressedImage",
+    text: "std_msgs/Header header\nstring format\nuint8[] data",
+};
+
+/// An image as a plugin of image_transport compresses it: `head`, and a PNG whose pixels count from 0 to 1499, over and over.
+fn compressed(topic: &'static str, format: &str, head: &[u8]) -> Entry {
+    let (width, height) = KINECT2;
+    let values = (0..width * height).map(|pixel| (pixel % 1500) as u16);
+    let values = Image::from_vec(width, height, values.collect());
+    let folder = tempfile::tempdir().unwrap();
+    let png = folder.path().join("values.png");
+    replay::write_png(&png, &values, replay::PngEffort::Live).unwrap();
+    let data = [head, &std::fs::read(png).unwrap()].concat();
+    let mut message = vec![0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    message.extend([2, 0, 0, 0, b'c', 0, 0, 0]);
+    message.extend((format.len() as u32 + 1).to_le_bytes());
+    message.extend(format.as_bytes());
+    message.push(0);
+    message.resize(message.len().next_multiple_of(4), 0);
+    message.extend((data.len() as u32).to_le_bytes());
+    message.extend(data);
+    (topic, COMPRESSED, 0, message)
+}
+
+#[test]
+fn compressed_images_are_read_where_there_are_no_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = || info("/a/camera_info", KINECT2, vec![]);
+    let infrared = || compressed("/a/ir/compressed", "16UC1; png compressed ", &[]);
+    let depth = |format, a: f32, b: f32| {
+        let head = [[0; 4], a.to_le_bytes(), b.to_le_bytes()].concat();
+        compressed("/a/depth/compressedDepth", format, &head)
+    };
+    let millimetres = || depth("16UC1; compressedDepth png", 0.0, 0.0);
+    let inverse = depth("32FC1; compressedDepth", 1000.0, -0.5);
+    let plain = image("/a/depth", Encoding::U16, KINECT2, 0, 900);
+    for (entries, expected) in [
+        (vec![camera(), millimetres(), infrared()], [0.0, 0.007]),
+        (vec![camera(), inverse, infrared()], [0.0, 1000.0 / 7.5]),
+        (vec![camera(), millimetres(), plain, infrared()], [0.9, 0.9]),
+    ] {
+        let path = write_bag(folder.path(), zstd(), &entries);
+        let played = play(&path).unwrap();
+        assert_eq!(played.damages, Vec::<String>::new());
+        let depth = played.frames[0].depth.as_ref().unwrap();
+        assert_eq!([*depth.at(0, 0), *depth.at(7, 0)], expected);
+        assert_eq!(*played.frames[0].ir.as_ref().unwrap().at(7, 0), 7);
+    }
+    let entries = [camera(), depth("16UC1; compressedDepth rvl", 0.0, 0.0)];
+    let path = write_bag(folder.path(), zstd(), &entries);
+    let error = McapCamera::open(&path).err().unwrap().to_string();
+    let found = "found /a/depth/compressedDepth (format \"16UC1; compressedDepth rvl\", must be 16UC1 or 32FC1 with compressedDepth png,";
+    assert!(error.contains(found), "{error}");
 }
 
 #[test]
