@@ -1,7 +1,7 @@
 //! Frames on their way to the disk, in either format.
 
 use super::{
-    CaptureParams, DeliveredFrame,
+    CaptureParams, DeliveredFrame, Unrecorded,
     infrared_rate::{InfraredGate, InfraredRate},
 };
 use crate::geometry::Pose;
@@ -62,7 +62,17 @@ pub(super) enum Stopped {
     /// The disk is about to be full; what was recorded is in order.
     DiskFloor(String),
     /// Something could not be written.
-    Failed(String),
+    Failed(Unrecorded),
+}
+
+impl Stopped {
+    /// In a sentence for the operator.
+    pub(super) fn reason(&self) -> &str {
+        match self {
+            Stopped::DiskFloor(reason) => reason,
+            Stopped::Failed(failure) => &failure.what,
+        }
+    }
 }
 
 /// A recording of frames.
@@ -233,9 +243,10 @@ impl FrameRecorder {
                 self.standing.bytes = bytes;
                 None
             }
-            Err(error) => Some(Stopped::Failed(format!(
-                "the recording is not safe on the disk: {error}"
-            ))),
+            Err(error) => {
+                let what = format!("the recording is not safe on the disk: {error}");
+                Some(Stopped::Failed(Unrecorded::by(&error, what)))
+            }
         }
     }
 
@@ -248,11 +259,13 @@ impl FrameRecorder {
                 return None;
             }
             Err(error @ RecordingError::DiskFloor { .. }) => Stopped::DiskFloor(error.to_string()),
-            Err(error) => Stopped::Failed(format!("recording stopped: {error}")),
+            Err(error) => {
+                let what = format!("recording stopped: {error}");
+                Stopped::Failed(Unrecorded::by(&error, what))
+            }
         };
         self.standing.active = false;
-        let (Stopped::DiskFloor(reason) | Stopped::Failed(reason)) = &stopped;
-        self.standing.reason = Some(reason.clone());
+        self.standing.reason = Some(stopped.reason().to_owned());
         // A recording in segments has ended itself; of a folder the lists are handed to the disk, as far as that goes.
         if let Some(FrameWriter::Folder(writer)) = self.writer.take() {
             let _ = writer.finish();

@@ -181,6 +181,13 @@ pub struct CameraInfo {
     pub n_frames: Option<usize>,
 }
 
+impl CameraInfo {
+    /// Whether the camera delivers IR.
+    pub fn has_infrared(&self) -> bool {
+        self.ir_full_scale.is_some() || self.light.is_some()
+    }
+}
+
 /// One moment of the device: a depth image, an IR image, or both.
 #[derive(Clone, Debug)]
 pub struct Frame {

@@ -59,7 +59,7 @@ impl Decoder {
         options.validate()?;
         let rows = (0..HEIGHT).into_par_iter();
         let rays = rows.clone().map(|v| RayRow::new(camera, v, &options));
-        let references = rows.map(|v| ReferenceRow::new(tables, v, options.unmirrored));
+        let references = rows.map(|v| ReferenceRow::new(tables, v, &options));
         Ok(Decoder {
             options,
             arch: Arch::new(),

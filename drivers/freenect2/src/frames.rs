@@ -100,7 +100,7 @@ pub(crate) fn camera_info(
         sensor: Sensor::Kinect2,
         serial: serial.to_owned(),
         driver: Some("libfreenect2".to_owned()),
-        intrinsics: camera.intrinsics(true),
+        intrinsics: camera.intrinsics(),
         ir_full_scale: Some(f64::from(u16::MAX)),
         ir_gain: None,
         light: Some(Light::kinect2_emitter()),

@@ -72,24 +72,29 @@ impl IrParameters {
         Ok(())
     }
 
-    /// The same camera with pixel centres at integers; of the mirrored image, or of the image as it is without the mirror.
-    pub fn intrinsics(&self, unmirrored: bool) -> Intrinsics {
-        let cx = self.cx - 0.5;
+    /// The camera of the image as it is without the mirror, with pixel centres at integers.
+    pub fn intrinsics(&self) -> Intrinsics {
+        let mirrored = self.mirrored_intrinsics();
+        Intrinsics {
+            cx: (WIDTH - 1) as f64 - mirrored.cx,
+            p2: -mirrored.p2,
+            ..mirrored
+        }
+    }
+
+    /// The camera of the mirrored image, with pixel centres at integers.
+    pub fn mirrored_intrinsics(&self) -> Intrinsics {
         Intrinsics {
             width: WIDTH,
             height: HEIGHT,
             fx: self.fx,
             fy: self.fy,
-            cx: if unmirrored {
-                (WIDTH - 1) as f64 - cx
-            } else {
-                cx
-            },
+            cx: self.cx - 0.5,
             cy: self.cy - 0.5,
             k1: self.k1,
             k2: self.k2,
             p1: self.p1,
-            p2: if unmirrored { -self.p2 } else { self.p2 },
+            p2: self.p2,
             k3: self.k3,
         }
     }
@@ -218,7 +223,7 @@ pub(crate) mod tests {
 
     #[test]
     fn the_mirror_moves_centre_and_tangential_term() {
-        let (as_is, turned) = (typical().intrinsics(false), typical().intrinsics(true));
+        let (as_is, turned) = (typical().mirrored_intrinsics(), typical().intrinsics());
         assert!((as_is.cx + turned.cx - 511.0).abs() < 1e-12);
         assert!((as_is.cx - 257.8).abs() < 1e-12);
         assert_eq!(as_is.p2, -turned.p2);

@@ -8,6 +8,7 @@ use pulp::{Simd, WithSimd};
 
 use crate::{
     WIDTH,
+    options::DecoderOptions,
     p0_tables::{N_FREQUENCIES, P0Tables},
     packet::{self, N_SUB_IMAGES, RawPacket, SATURATED_CODE},
 };
@@ -48,14 +49,14 @@ pub(crate) struct ReferenceRow {
 
 impl ReferenceRow {
     /// The tables' row `v`, its columns turned round if the image is.
-    pub(crate) fn new(tables: &P0Tables, v: usize, unmirrored: bool) -> Self {
+    pub(crate) fn new(tables: &P0Tables, v: usize, options: &DecoderOptions) -> Self {
         let mut row = ReferenceRow {
             cos: [[0.0; WIDTH]; N_FREQUENCIES],
             sin: [[0.0; WIDTH]; N_FREQUENCIES],
         };
         for k in 0..N_FREQUENCIES {
             for u in 0..WIDTH {
-                let column = if unmirrored { WIDTH - 1 - u } else { u };
+                let column = if options.unmirrored { WIDTH - 1 - u } else { u };
                 let (sin, cos) = tables.phase_rad(k, column, v).sin_cos();
                 row.cos[k][u] = cos as f32;
                 row.sin[k][u] = sin as f32;

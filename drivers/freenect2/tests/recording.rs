@@ -48,7 +48,7 @@ fn a_recording_plays_as_its_packets_decode() {
     assert_eq!(camera.info().serial, "012345678947");
     assert_eq!(camera.info().driver.as_deref(), Some("libfreenect2"));
     assert_eq!(camera.info().n_frames, Some(2));
-    assert_eq!(camera.info().intrinsics, parameters().intrinsics(true));
+    assert_eq!(camera.info().intrinsics, parameters().intrinsics());
     let unmirrored = DecoderOptions {
         unmirrored: true,
         ..options

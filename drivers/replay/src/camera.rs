@@ -11,7 +11,7 @@ use crate::{
     depth_scale::DepthScale,
     lists::{self, Moment},
     pacing::{Pacer, Pacing},
-    session::{self, SessionFile},
+    session::{self, Images, SessionFile},
     sixteen_bit_png,
 };
 
@@ -37,17 +37,20 @@ impl ReplayCamera {
         let session_path = folder.join(session::FILE_NAME);
         let session = SessionFile::read(&session_path)?;
         let ir_path = folder.join("ir.txt");
-        let with_ir = ir_path.exists();
-        let mut info = session.camera_info(&session_path, with_ir)?;
+        let images = match ir_path.exists() {
+            true => Images::DepthAndInfrared,
+            false => Images::Depth,
+        };
+        let mut info = session.camera_info(&session_path, images)?;
 
         let depth_path = folder.join("depth.txt");
         let depth = lists::read_list(&depth_path)?;
         if depth.is_empty() {
             return Err(session::invalid(&depth_path, "holds no frame"));
         }
-        let ir = match with_ir {
-            true => lists::read_list(&ir_path)?,
-            false => Vec::new(),
+        let ir = match images {
+            Images::DepthAndInfrared => lists::read_list(&ir_path)?,
+            Images::Depth => Vec::new(),
         };
         let moments = lists::merge_lists(depth, ir);
         info.n_frames = Some(moments.len());

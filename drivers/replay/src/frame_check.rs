@@ -1,12 +1,13 @@
 //! Which frames belong into a recording.
 
-use depth_camera::{Frame, Image, Intrinsics};
+use depth_camera::{CameraInfo, Frame, Image};
 
 /// Whether a frame holds an image, all of the size that the camera promises, and no IR that the camera was not said to have.
 ///
 /// # Errors
 /// Says what is wrong, with the value and what it must be.
-pub fn check_frame(frame: &Frame, i: &Intrinsics, with_ir: bool) -> Result<(), String> {
+pub fn check_frame(frame: &Frame, info: &CameraInfo) -> Result<(), String> {
+    let i = &info.intrinsics;
     let sizes = [
         ("depth", frame.depth.as_ref().map(size)),
         ("IR", frame.ir.as_ref().map(size)),
@@ -25,7 +26,7 @@ pub fn check_frame(frame: &Frame, i: &Intrinsics, with_ir: bool) -> Result<(), S
     if frame.depth.is_none() && frame.ir.is_none() {
         return Err("it holds no image".to_owned());
     }
-    if frame.ir.is_some() && !with_ir {
+    if frame.ir.is_some() && !info.has_infrared() {
         return Err("it holds IR, but the camera has neither scale nor light".to_owned());
     }
     if !frame.device_time_secs.is_finite() {

@@ -37,7 +37,7 @@ pub use lists::{Entry, Moment, SAME_MOMENT_SECS, merge_lists, read_list};
 pub use pacing::{Pacer, Pacing};
 pub use poses::{TimedPose, read_poses};
 pub use repeat::{Open, RepeatingCamera};
-pub use session::{FILE_NAME as SESSION_FILE_NAME, SessionFile, unknown_keys};
+pub use session::{FILE_NAME as SESSION_FILE_NAME, Images, SessionFile, unknown_keys};
 pub use sixteen_bit_png::{
     PngEffort, any_of as any_of_sizes, decode as decode_png, read as read_png,
     read_one_of as read_png_of_size,

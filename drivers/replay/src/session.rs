@@ -40,6 +40,15 @@ const OBJECT: &str = "object";
 /// Larger images than any depth camera delivers: a wrong size must not ask for gigabytes.
 const MAX_SIDE_PX: usize = 16_384;
 
+/// Which images a session holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Images {
+    /// Depth alone.
+    Depth,
+    /// Depth and IR.
+    DepthAndInfrared,
+}
+
 /// The contents of `session.toml`; keys that are not named here are for other readers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SessionFile {
@@ -92,9 +101,12 @@ impl SessionFile {
         toml::to_string(self).map_err(|error| invalid(path, error))
     }
 
-    /// Whether the camera delivers IR.
-    pub fn has_infrared(&self) -> bool {
-        self.ir_full_scale.is_some() || self.light.is_some()
+    /// Which images the camera delivers by its description.
+    pub fn images(&self) -> Images {
+        match self.ir_full_scale.is_some() || self.light.is_some() {
+            true => Images::DepthAndInfrared,
+            false => Images::Depth,
+        }
     }
 
     /// How depth is stored.
@@ -124,13 +136,13 @@ impl SessionFile {
 
     /// The camera that this file describes, every value checked; `path` is named in errors.
     ///
-    /// `with_ir` says whether there are IR images: they are of no use without their scale, and those of a sensor that lights them
-    /// itself not without its light.
+    /// IR images are of no use without their scale, and those of a sensor that lights them itself not without its light.
     ///
     /// # Errors
     /// [`CameraError::Invalid`] naming file, key, value and bound.
-    pub fn camera_info(&self, path: &Path, with_ir: bool) -> Result<CameraInfo, CameraError> {
-        self.check(with_ir).map_err(|what| invalid(path, what))?;
+    pub fn camera_info(&self, path: &Path, images: Images) -> Result<CameraInfo, CameraError> {
+        let with_ir = images == Images::DepthAndInfrared;
+        self.check(images).map_err(|what| invalid(path, what))?;
         let sensor = sensor_named(&self.sensor).map_err(|what| invalid(path, what))?;
         let light = self.light.as_ref().map(LightEntry::light).transpose();
         let light = light.map_err(|what| invalid(path, what))?;
@@ -146,7 +158,8 @@ impl SessionFile {
         })
     }
 
-    fn check(&self, with_ir: bool) -> Result<(), String> {
+    fn check(&self, images: Images) -> Result<(), String> {
+        let with_ir = images == Images::DepthAndInfrared;
         if self.name.is_empty() {
             return Err("name is empty, must name the session".to_owned());
         }

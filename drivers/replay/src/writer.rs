@@ -50,18 +50,17 @@ impl SessionWriter {
         let name = name.as_deref().unwrap_or("session");
         let session = SessionFile::of_camera(name, info, depth_units_per_metre);
         let session_path = folder.join(session::FILE_NAME);
-        let with_ir = info.ir_full_scale.is_some() || info.light.is_some();
-        session.camera_info(&session_path, with_ir)?;
+        session.camera_info(&session_path, session.images())?;
         let session = session.to_text(&session_path)?;
 
         create_empty_folder(folder)?;
         create_folder(&folder.join("depth"))?;
-        if with_ir {
+        if info.has_infrared() {
             create_folder(&folder.join("ir"))?;
         }
         write_whole_file(&session_path, |out| out.write_all(session.as_bytes()))?;
         let depth_list = ListFile::create(folder.join("depth.txt"))?;
-        let ir_list = match with_ir {
+        let ir_list = match info.has_infrared() {
             true => Some(ListFile::create(folder.join("ir.txt"))?),
             false => None,
         };
@@ -149,7 +148,7 @@ impl SessionWriter {
 
     /// Whether the frame fits the recording; its time in microseconds, the resolution of the lists.
     fn check(&self, frame: &Frame) -> Result<i64, String> {
-        check_frame(frame, &self.info.intrinsics, self.ir_list.is_some())?;
+        check_frame(frame, &self.info)?;
         let time_secs = frame.device_time_secs;
         let time_micros = (time_secs * 1e6).round() as i64;
         match self.last_time_micros {
