@@ -72,13 +72,10 @@ pub enum AttemptEnd {
     Told,
     /// The disk did not take its outputs, and may later, for this reason.
     NoRoom(String),
-    /// It failed.
-    Failed {
-        /// Why.
-        reason: String,
-        /// Whether another attempt may fare better.
-        may_repeat: bool,
-    },
+    /// It failed for this reason, and may fare better another time.
+    Failed(String),
+    /// It failed for this reason, as it will another time.
+    Hopeless(String),
 }
 
 /// Runs the child to its end. `is_told` says whether it is to end before.
@@ -116,10 +113,8 @@ pub fn run(
         Watched::Ended => {}
         Watched::Told => return Ok(AttemptEnd::Told),
         Watched::Idle => {
-            return Ok(AttemptEnd::Failed {
-                reason: format!("it did nothing for {:?}", attempt.max_idle),
-                may_repeat: true,
-            });
+            let reason = format!("it did nothing for {:?}", attempt.max_idle);
+            return Ok(AttemptEnd::Failed(reason));
         }
     }
     // Whoever holds the other end of a pipe is dead; the time limit is for who has left the group.
@@ -283,10 +278,7 @@ fn verdict(status: ExitStatus, summary: Option<Summary>, last_words: &str) -> At
         "" => what,
         said => format!("{what}: {said}"),
     };
-    let failed = |what, may_repeat| AttemptEnd::Failed {
-        reason: with_words(what),
-        may_repeat,
-    };
+    let failed = |what| AttemptEnd::Failed(with_words(what));
     match (status.code(), status.signal(), summary) {
         (Some(0), _, Some(summary)) if summary.refined => AttemptEnd::Refined,
         (Some(0), _, Some(summary)) => AttemptEnd::Refused(
@@ -294,14 +286,16 @@ fn verdict(status: ExitStatus, summary: Option<Summary>, last_words: &str) -> At
                 .not_refined_reason
                 .unwrap_or_else(|| "refinement gives no reason".to_owned()),
         ),
-        (Some(0), _, None) => failed("it ended without a summary".to_owned(), true),
-        (Some(EXIT_BAD_USAGE), ..) => failed("bad usage or configuration".to_owned(), false),
+        (Some(0), _, None) => failed("it ended without a summary".to_owned()),
+        (Some(EXIT_BAD_USAGE), ..) => {
+            AttemptEnd::Hopeless(with_words("bad usage or configuration".to_owned()))
+        }
         (Some(EXIT_NO_ROOM), ..) => {
             AttemptEnd::NoRoom(with_words("its outputs found no room".to_owned()))
         }
-        (Some(code), ..) => failed(format!("exit code {code}"), true),
-        (None, Some(signal), _) => failed(format!("killed by signal {}", name_of(signal)), true),
-        (None, None, _) => failed(format!("it ended with {status}"), true),
+        (Some(code), ..) => failed(format!("exit code {code}")),
+        (None, Some(signal), _) => failed(format!("killed by signal {}", name_of(signal))),
+        (None, None, _) => failed(format!("it ended with {status}")),
     }
 }
 

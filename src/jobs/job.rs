@@ -118,6 +118,8 @@ pub struct Job {
     pub failures: Vec<String>,
     /// What is to be said of its ending.
     pub message: Option<String>,
+    /// Why it waits behind all others, and is tried again later: its outputs found no room on the disk.
+    pub lacks_room: Option<String>,
     /// How far it is, while it runs and has told.
     pub progress: Option<JobProgress>,
 }

@@ -1,18 +1,19 @@
 //! The worker's thread: takes jobs from the spool, one after the other, and brings each to an end.
 
 use super::{
-    Job, JobError, JobState,
+    JobError, JobState,
     child::{self, Attempt, AttemptEnd},
     inputs::job_id,
     landing::land,
     limits::Limits,
+    refusal::note_refusal,
     spool::{self, Record},
     worker::Shared,
 };
 use crate::lock::lock;
 use std::{fs, io, time::Duration};
 
-/// After the disk has refused, the worker looks again so much later.
+/// After the disk has refused, or where all that wait pause for want of room, the worker looks again so much later.
 const AFTER_REFUSAL: Duration = Duration::from_secs(5);
 
 impl Shared {
@@ -42,17 +43,27 @@ impl Shared {
                 return Ok(());
             }
             lock(&self.board).cancelled = None;
-            let Some(record) = lock(&self.spool).claim()? else {
-                return Ok(());
+            let claimed = lock(&self.spool).claim()?;
+            self.tell_refusal(None);
+            self.refresh();
+            let Some(record) = claimed else {
+                if !self.has_waiting() {
+                    return Ok(());
+                }
+                self.bell.rest(AFTER_REFUSAL);
+                continue;
             };
             *lock(&self.progress) = None;
-            if lock(&self.board).lacks_room.as_ref() != Some(&record.id) {
-                self.tell_refusal(None);
-            }
-            self.refresh();
             self.run(&record)?;
             self.refresh();
         }
+    }
+
+    /// Whether a job waits, as the board tells.
+    fn has_waiting(&self) -> bool {
+        let board = lock(&self.board);
+        let mut states = board.jobs.iter().map(|job| job.state);
+        states.any(|state| state == JobState::Waiting)
     }
 
     /// Goes on with what lies among the running though nothing runs: what was landing lands, all else waits again.
@@ -73,47 +84,43 @@ impl Shared {
         }
         let number = record.failures.len() + 1;
         tracing::info!(job = %record.id, scan = record.scan, attempt = number, "refinement begins");
-        let ended = self
-            .attempt(record)
-            .unwrap_or_else(|error| AttemptEnd::Failed {
-                reason: format!("{} does not run: {error}", self.setup.program.display()),
-                may_repeat: true,
-            });
+        let ended = self.attempt(record).unwrap_or_else(|error| {
+            let program = self.setup.program.display();
+            AttemptEnd::Failed(format!("{program} does not run: {error}"))
+        });
         if ended != AttemptEnd::Refined {
             self.clear(record)?;
         }
         let spool = || lock(&self.spool);
-        if !matches!(ended, AttemptEnd::NoRoom(_)) && lock(&self.board).lacks_room.take().is_some()
-        {
-            self.tell_refusal(None);
-        }
         match ended {
             AttemptEnd::Refined => self.take_in(record),
             AttemptEnd::Refused(reason) => {
                 tracing::warn!(job = %record.id, reason, "not refined");
+                self.tell_in_report(record, &reason);
                 spool().end(&record.id, JobState::Refused, Some(reason))
             }
             // Either somebody has ended the job, or it goes on when the daemon is back.
             AttemptEnd::Told => spool().put_back(&record.id),
             AttemptEnd::NoRoom(reason) => {
-                spool().put_back(&record.id)?;
-                self.refresh();
-                let waits = |job: &Job| job.id == record.id && job.state == JobState::Waiting;
-                if !lock(&self.board).jobs.iter().any(waits) {
-                    // Somebody has cancelled it meanwhile.
-                    return Ok(());
+                // Nothing waits where somebody has ended it meanwhile.
+                if let Some(n_times) = spool().put_behind(&record.id, reason.clone())? {
+                    tracing::error!(job = %record.id, n_times, reason, "refinement waits for room");
                 }
-                lock(&self.board).lacks_room = Some(record.id.clone());
-                let told = format!("the refinement of {} waits: {reason}", record.scan);
-                tracing::error!(job = %record.id, "{told}");
-                self.tell_refusal(Some(told));
-                self.bell.rest(AFTER_REFUSAL);
                 Ok(())
             }
-            AttemptEnd::Failed { reason, may_repeat } => {
+            AttemptEnd::Failed(reason) => {
                 tracing::warn!(job = %record.id, attempt = number, reason, "refinement failed");
-                spool().fail(&record.id, reason, may_repeat)
+                spool().fail(&record.id, reason)
             }
+            AttemptEnd::Hopeless(reason) => spool().give_up(&record.id, reason),
+        }
+    }
+
+    /// Adds to the scan's report why it is not refined. A disk that refuses that holds nobody up: the job says it as well.
+    fn tell_in_report(&self, record: &Record, reason: &str) {
+        let scan = lock(&self.spool).scan_folder(record);
+        if let Err(error) = note_refusal(&scan, reason) {
+            tracing::warn!(job = %record.id, "the scan's report does not say why it is not refined: {error}");
         }
     }
 
@@ -191,7 +198,7 @@ impl Shared {
             Err(error) => {
                 tracing::error!(job = %record.id, "the refined mesh cannot be delivered: {error}");
                 self.clear(record)?;
-                lock(&self.spool).fail(&record.id, error.to_string(), true)
+                lock(&self.spool).fail(&record.id, error.to_string())
             }
         }
     }

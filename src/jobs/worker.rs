@@ -36,7 +36,8 @@ pub struct WorkerStatus {
     pub running: Option<Job>,
     /// How many wait.
     pub n_waiting: usize,
-    /// Why the worker waits for the disk, naming the file; it tries again every few seconds. `None` where it does not wait.
+    /// Why the worker waits for the disk, naming the file, and tries again every few seconds; else why the oldest of the jobs whose
+    /// outputs found no room waits behind the others. `None` where nothing waits for the disk.
     pub refusal: Option<String>,
 }
 
@@ -86,10 +87,11 @@ impl WorkerHandle {
     pub fn status(&self) -> WorkerStatus {
         let jobs = self.list();
         let n_waiting = jobs.iter().filter(|job| job.state == JobState::Waiting);
+        let refusal = lock(&self.shared.board).refusal.clone();
         WorkerStatus {
             n_waiting: n_waiting.count(),
+            refusal: refusal.or_else(|| without_room(&jobs)),
             running: jobs.into_iter().find(|job| job.state == JobState::Running),
-            refusal: lock(&self.shared.board).refusal.clone(),
         }
     }
 
@@ -193,8 +195,15 @@ pub(super) struct Board {
     pub cancelled: Option<JobId>,
     /// Why the worker waits for the disk.
     pub refusal: Option<String>,
-    /// The job whose child found no room: until it gets through the refusal is told.
-    pub lacks_room: Option<JobId>,
+}
+
+/// Of jobs, the newest first: why the oldest waits whose outputs found no room.
+fn without_room(jobs: &[Job]) -> Option<String> {
+    let told = |job: &Job| {
+        let reason = job.lacks_room.as_ref()?;
+        Some(format!("the refinement of {} waits: {reason}", job.scan))
+    };
+    jobs.iter().rev().find_map(told)
 }
 
 impl Shared {

@@ -8,9 +8,11 @@
 //! ```
 //!
 //! The disk is the only truth: every change reads the file, writes it anew where it lies, and then moves it. A process that ends
-//! between the two leaves a file that says where it belongs, and [`Spool::open`] takes it there. Files and folders are synced.
+//! between the two leaves a file that says where it belongs, and [`Spool::open`] takes it there. Files and folders are synced. Not
+//! written down is how long a job pauses whose outputs found no room: another process may find some.
 
 mod durable;
+mod pauses;
 mod record;
 mod transitions;
 
@@ -21,8 +23,10 @@ pub use record::{Ending, Place, Record};
 pub use transitions::Request;
 
 use super::{JobError, JobId};
+use pauses::Pauses;
 use sha2::{Digest, Sha256};
 use std::{
+    cell::RefCell,
     collections::BTreeSet,
     fs::{self, File, TryLockError},
     io,
@@ -38,6 +42,7 @@ pub struct Spool {
     root: PathBuf,
     sessions: PathBuf,
     max_retries: u32,
+    pauses: RefCell<Pauses>,
     _lock: File,
 }
 
@@ -59,6 +64,7 @@ impl Spool {
             root,
             sessions: data_dir.join("sessions"),
             max_retries,
+            pauses: RefCell::default(),
         };
         spool.recover()?;
         Ok(spool)

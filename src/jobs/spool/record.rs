@@ -51,6 +51,16 @@ impl Ending {
     }
 }
 
+/// That the outputs of a job's attempts found no room on the disk.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoRoom {
+    /// How often.
+    pub n_times: u32,
+    /// What was said of it last.
+    pub reason: String,
+}
+
 /// A job's file.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -73,6 +83,9 @@ pub struct Record {
     /// How often the daemon ended while it ran, without having been told to.
     #[serde(default)]
     pub n_interruptions: u32,
+    /// That the outputs of its attempts found no room; it then waits behind those that may find some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub no_room: Option<NoRoom>,
     /// The number of the output folder of the attempt that is under way.
     pub attempt: Option<u32>,
     /// Whether that attempt succeeded, and its outputs are moved to the scan's folder.
@@ -87,6 +100,11 @@ fn first_version() -> String {
 }
 
 impl Record {
+    /// How often its outputs found no room.
+    pub fn n_times_without_room(&self) -> u32 {
+        self.no_room.as_ref().map_or(0, |no_room| no_room.n_times)
+    }
+
     /// The job as it is shown.
     pub fn job(&self, place: Place) -> Job {
         let state = match (&self.ending, place) {
@@ -95,6 +113,9 @@ impl Record {
             // Also of those that were claimed, and then the disk had no room for the attempt's number.
             (None, _) => JobState::Waiting,
         };
+        // Whether there is room now the attempt that runs will tell.
+        let no_room = self.no_room.as_ref();
+        let no_room = no_room.filter(|_| state == JobState::Waiting);
         Job {
             id: self.id.clone(),
             scan: self.scan.clone(),
@@ -105,6 +126,7 @@ impl Record {
                 .ending
                 .as_ref()
                 .and_then(|ending| ending.message.clone()),
+            lacks_room: no_room.map(|no_room| no_room.reason.clone()),
             progress: None,
         }
     }
@@ -123,6 +145,6 @@ mod tests {
         );
         let record: Record = serde_json::from_str(&text).unwrap();
         assert_eq!(record.version, "0.1.0");
-        assert_eq!(record.n_interruptions, 0);
+        assert_eq!((record.n_interruptions, record.no_room), (0, None));
     }
 }

@@ -1,6 +1,6 @@
 //! What can become of a job.
 
-use super::{Ending, Place, Record, Spool, at, attempt_folder, durable};
+use super::{Ending, Place, Record, Spool, at, attempt_folder, durable, record::NoRoom};
 use crate::jobs::{JobError, JobId, JobState};
 use std::collections::BTreeMap;
 
@@ -31,10 +31,12 @@ pub struct Request<'a> {
 impl Spool {
     /// Lets a job wait, in the place of older ones of the same scan that wait. One that waits or runs already, or whose result
     /// stands, stays what it is; one that ended otherwise begins anew, and one that is being cancelled does once its child is gone.
+    /// One that pauses for want of room has its turn again.
     ///
     /// # Errors
     /// If the system refuses.
     pub fn submit(&self, request: &Request) -> Result<(Place, Record), JobError> {
+        self.pauses.borrow_mut().end(&request.id);
         let all = self.list()?;
         let sequence = all.first().map_or(0, |(_, newest)| newest.sequence + 1);
         let known = all.iter().find(|(_, record)| record.id == request.id);
@@ -59,6 +61,7 @@ impl Spool {
                     version: request.version.to_owned(),
                     failures: Vec::new(),
                     n_interruptions: 0,
+                    no_room: None,
                     attempt,
                     is_landing: false,
                     ending: None,
@@ -89,12 +92,17 @@ impl Spool {
         Ok(waiting)
     }
 
-    /// Takes the job that waits longest, with a number for its output folder that is still free.
+    /// Takes the job that waits longest, with a number for its output folder that is still free. Those whose outputs found no room
+    /// come after all others, and not while they pause.
     ///
     /// # Errors
     /// If the system refuses.
     pub fn claim(&self) -> Result<Option<Record>, JobError> {
-        let Some(mut record) = self.supersede()?.into_iter().next() else {
+        let mut waiting = self.supersede()?;
+        waiting.sort_by_key(Record::n_times_without_room);
+        let pauses = self.pauses.borrow();
+        let next = waiting.into_iter().find(|job| !pauses.hold(&job.id));
+        let Some(mut record) = next else {
             return Ok(None);
         };
         self.move_record(Place::Waiting, &record.id, Place::Running)?;
@@ -158,17 +166,33 @@ impl Spool {
         self.settle(place, &record, ending.place())
     }
 
-    /// Notes why the running job's attempt failed: it waits again, unless it may not be repeated or was too often.
+    /// Notes why the running job's attempt failed: it waits again, unless that was too often.
     ///
     /// # Errors
     /// If it does not run, or the system refuses.
-    pub fn fail(&self, id: &JobId, reason: String, may_repeat: bool) -> Result<(), JobError> {
+    pub fn fail(&self, id: &JobId, reason: String) -> Result<(), JobError> {
+        let record = self.with_failure(id, &reason)?;
+        match record.failures.len() > self.max_retries as usize {
+            true => self.end_failed(record, reason),
+            false => self.let_wait(record),
+        }
+    }
+
+    /// Notes why the running job's attempt failed, as any other of it would: it does not wait again.
+    ///
+    /// # Errors
+    /// If it does not run, or the system refuses.
+    pub fn give_up(&self, id: &JobId, reason: String) -> Result<(), JobError> {
+        let record = self.with_failure(id, &reason)?;
+        self.end_failed(record, reason)
+    }
+
+    /// The running job with one failure more.
+    fn with_failure(&self, id: &JobId, reason: &str) -> Result<Record, JobError> {
         let mut record = self.running(id)?;
-        record.attempt = None;
-        record.is_landing = false;
-        record.failures.push(reason.clone());
-        let is_over = !may_repeat || record.failures.len() > self.max_retries as usize;
-        self.repeat_or_end(record, is_over, reason)
+        record.failures.push(reason.to_owned());
+        record.no_room = None;
+        Ok(record)
     }
 
     /// Notes that the daemon ended while a job ran: that costs it no attempt, unless it was too often.
@@ -176,19 +200,13 @@ impl Spool {
         record.n_interruptions += 1;
         let n_times = record.n_interruptions;
         tracing::warn!(job = %record.id, n_times, "the daemon ended while this refinement ran");
-        let reason = format!("the daemon ended {n_times} times while it ran");
-        self.repeat_or_end(record, n_times > MAX_INTERRUPTIONS, reason)
-    }
-
-    /// Lets a job wait again, or gives it up.
-    fn repeat_or_end(&self, record: Record, is_over: bool, reason: String) -> Result<(), JobError> {
-        if record.ending.is_none() && !is_over {
-            return self.settle(Place::Running, &record, Place::Waiting);
+        match n_times > MAX_INTERRUPTIONS {
+            true => {
+                let reason = format!("the daemon ended {n_times} times while it ran");
+                self.end_failed(record, reason)
+            }
+            false => self.let_wait(record),
         }
-        if record.ending.is_none() {
-            tracing::warn!(job = %record.id, scan = record.scan, reason, "refinement given up");
-        }
-        self.end_at(Place::Running, record, JobState::Failed, Some(reason))
     }
 
     /// Lets the running job wait again as if it had not begun.
@@ -196,11 +214,40 @@ impl Spool {
     /// # Errors
     /// If it does not run, or the system refuses.
     pub fn put_back(&self, id: &JobId) -> Result<(), JobError> {
+        self.let_wait(self.running(id)?)
+    }
+
+    /// Notes that the outputs of the running job's attempt found no room, for this reason: it waits behind all others, and pauses,
+    /// each time for longer. Returns how often that was; `None` if somebody has ended the job meanwhile.
+    ///
+    /// # Errors
+    /// If it does not run, or the system refuses.
+    pub fn put_behind(&self, id: &JobId, reason: String) -> Result<Option<u32>, JobError> {
         let mut record = self.running(id)?;
+        if record.ending.is_some() {
+            return self.let_wait(record).map(|()| None);
+        }
+        let n_times = record.n_times_without_room().saturating_add(1);
+        record.no_room = Some(NoRoom { n_times, reason });
+        self.let_wait(record)?;
+        self.pauses.borrow_mut().begin(id, n_times);
+        Ok(Some(n_times))
+    }
+
+    /// Lets a job that ran wait again; one that somebody has ended goes where it belongs.
+    fn let_wait(&self, mut record: Record) -> Result<(), JobError> {
         record.attempt = None;
         record.is_landing = false;
         let to = record.ending.as_ref().map_or(Place::Waiting, Ending::place);
         self.settle(Place::Running, &record, to)
+    }
+
+    /// Gives a job that ran up; one that somebody has ended keeps that ending.
+    fn end_failed(&self, record: Record, reason: String) -> Result<(), JobError> {
+        if record.ending.is_none() {
+            tracing::warn!(job = %record.id, scan = record.scan, reason, "refinement given up");
+        }
+        self.end_at(Place::Running, record, JobState::Failed, Some(reason))
     }
 
     /// Ends a job that waits, or notes that the one that runs is to end; the worker then moves it.
