@@ -31,6 +31,8 @@ pub enum Delivery {
     Event(Event),
     /// The device is doing otherwise than before. After a gap this comes before the first frame.
     Health(DeviceHealth),
+    /// What the driver had and let go, as [`CaptureSummary::n_missed`], has become so many.
+    Missed(u64),
 }
 
 /// How a device is doing, or was when it was recorded.
@@ -103,17 +105,15 @@ pub fn run_device(
     while !stop.load(Ordering::Relaxed) {
         let grabbed = camera.grab(params.grab_timeout());
         let end = device.handle(grabbed, &mut deliver);
-        device.account(camera);
+        device.account(camera, &mut deliver);
         if let Some(end) = end {
             device.summary.end = end;
             break;
         }
     }
     device.missed.pause(camera);
-    let summary = CaptureSummary {
-        n_missed: device.missed.total(),
-        ..device.summary
-    };
+    device.tell_missed(&mut deliver);
+    let summary = device.summary;
     tracing::debug!(
         n_frames = summary.n_frames,
         n_damaged = summary.n_damaged,
@@ -174,10 +174,21 @@ impl Device<'_> {
     }
 
     /// Keeps account of what the driver misses.
-    fn account(&mut self, camera: &dyn DepthCamera) {
+    fn account(&mut self, camera: &dyn DepthCamera, deliver: &mut impl FnMut(Delivery) -> bool) {
         match self.summary.n_frames > 0 && self.health != DeviceHealth::Gone {
             true => self.missed.follow(camera),
             false => self.missed.pause(camera),
+        }
+        self.tell_missed(deliver);
+    }
+
+    /// Tells how much the driver has missed, if that is more than was told.
+    fn tell_missed(&mut self, deliver: &mut impl FnMut(Delivery) -> bool) {
+        let total = self.missed.total();
+        if total > self.summary.n_missed {
+            self.summary.n_missed = total;
+            // Whether frames are wanted shows when there is one.
+            deliver(Delivery::Missed(total));
         }
     }
 

@@ -1,9 +1,10 @@
 //! The file of events: whole lines, in their order. What the disk refuses waits for the next time.
 
+use super::Unrecorded;
 use replay::WriteError;
 use std::{
     fs::{File, OpenOptions},
-    io::Write,
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 
@@ -22,6 +23,8 @@ pub(super) struct EventFile {
     waiting: String,
     n_lost: usize,
     refusal: Option<String>,
+    /// What the system said when it refused last.
+    last_cause: Option<io::ErrorKind>,
 }
 
 impl EventFile {
@@ -37,6 +40,7 @@ impl EventFile {
                 waiting: String::new(),
                 n_lost: 0,
                 refusal: None,
+                last_cause: None,
             }),
             Err(source) => Err(WriteError::Io { path, source }),
         }
@@ -82,6 +86,7 @@ impl EventFile {
             Err(error) => {
                 // Of lines that found room in part nothing stays: they are written again as a whole.
                 let _ = self.file.set_len(self.n_bytes);
+                self.last_cause = Some(error.kind());
                 let refusal = format!("cannot write {path}: {error}");
                 if self.refusal.is_none() {
                     tracing::error!("{refusal}; events wait until it can be written");
@@ -92,13 +97,16 @@ impl EventFile {
     }
 
     /// Writes what waits for the last time; says what is missing then.
-    pub(super) fn end(&mut self) -> Option<String> {
+    pub(super) fn end(&mut self) -> Option<Unrecorded> {
         self.write_waiting();
         let n_missing = self.n_lost + self.waiting.lines().count();
         let why = self.refusal.take().unwrap_or_else(|| {
             format!("{} could not be written for too long", self.path.display())
         });
-        (n_missing > 0).then(|| format!("{n_missing} events are missing: {why}"))
+        (n_missing > 0).then(|| Unrecorded {
+            what: format!("{n_missing} events are missing: {why}"),
+            cause: self.last_cause,
+        })
     }
 }
 
@@ -139,7 +147,9 @@ mod tests {
             events.push(line);
         }
         let missing = events.end().unwrap();
-        assert!(missing.starts_with("3 events are missing: "), "{missing}");
+        let what = &missing.what;
+        assert!(what.starts_with("3 events are missing: "), "{what}");
+        assert_eq!(missing.cause, Some(io::ErrorKind::StorageFull));
         assert!(events.waiting.len() < MAX_WAITING_BYTES);
     }
 }

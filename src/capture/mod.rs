@@ -12,6 +12,7 @@ mod infrared_rate;
 mod ir_offset;
 mod recorder;
 mod shared_frames;
+mod unrecorded;
 
 pub use device::{CaptureEnd, CaptureSummary, Delivery, DeviceHealth, run_device};
 pub use event::{Event, EventKind, Tracked};
@@ -21,6 +22,7 @@ pub use infrared_rate::InfraredRate;
 pub use ir_offset::IrOffset;
 pub use recorder::{Recorder, RecorderSummary};
 pub use shared_frames::{DeliveredFrame, SharedFrames};
+pub use unrecorded::Unrecorded;
 
 use serde::{Deserialize, Serialize};
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! The recorder: writes frames as a session, and events as lines of JSON, as they come.
 
 use super::{
-    CaptureParams, DeliveredFrame, Event, EventKind, Tracked,
+    CaptureParams, DeliveredFrame, Event, EventKind, Tracked, Unrecorded,
     event_file::EventFile,
     frame_recorder::{FrameRecorder, RecordingStanding, Stopped},
 };
@@ -20,8 +20,8 @@ pub struct RecorderSummary {
     pub n_recorded: usize,
     /// Poses of the fused frames with their times, seconds, as they were told of at the end.
     pub trajectory: Vec<(f64, Pose)>,
-    /// Data that could not be written, in sentences for the operator.
-    pub failures: Vec<String>,
+    /// Data that could not be written.
+    pub failures: Vec<Unrecorded>,
     /// What the operator should know although all that was recorded is in order, in sentences.
     pub warnings: Vec<String>,
 }
@@ -172,18 +172,17 @@ impl Recorder {
         let Some(stopped) = self.frames.as_mut().and_then(act) else {
             return;
         };
-        let reason = match stopped {
+        let reason = stopped.reason().to_owned();
+        match stopped {
             Stopped::DiskFloor(reason) => {
                 tracing::warn!("{reason}");
-                self.summary.warnings.push(reason.clone());
-                reason
+                self.summary.warnings.push(reason);
             }
-            Stopped::Failed(reason) => {
+            Stopped::Failed(failure) => {
                 self.has_failed = true;
-                self.tell(reason.clone());
-                reason
+                self.tell(failure);
             }
-        };
+        }
         let event = Event {
             frame_id: self.newest.map_or(0, |(frame_id, _)| frame_id),
             device_time_secs: self.newest.map(|(_, secs)| secs),
@@ -196,7 +195,10 @@ impl Recorder {
     fn event(&mut self, event: &Event) {
         let line = match serde_json::to_string(event) {
             Ok(line) => line,
-            Err(error) => return self.tell(format!("an event is not written: {error}")),
+            Err(error) => {
+                let what = format!("an event is not written: {error}");
+                return self.tell(Unrecorded { what, cause: None });
+            }
         };
         self.with_event_in_recording(event, &line);
         self.events.push(&line);
@@ -207,9 +209,9 @@ impl Recorder {
         self.with_recording(|frames| frames.event(event.device_time_secs, line));
     }
 
-    fn tell(&mut self, what: String) {
-        tracing::error!("{what}");
-        self.summary.failures.push(what);
+    fn tell(&mut self, failure: Unrecorded) {
+        tracing::error!("{}", failure.what);
+        self.summary.failures.push(failure);
     }
 }
 

@@ -99,8 +99,12 @@ fn entry(kinect: &Kinect) -> Entry<'_> {
 pub fn devices(args: &DevicesArgs) -> anyhow::Result<Verdict> {
     require_folder("--root", &args.root)?;
     if args.watch {
-        let (root, json) = (args.root.clone(), args.json);
-        return match control::until_stopped(move |stop| watch::watch(&root, json, stop))? {
+        let root = args.root.clone();
+        let tell = match args.json {
+            true => watch::tell_json,
+            false => watch::tell_text,
+        };
+        return match control::until_stopped(move |stop| watch::watch(&root, tell, stop))? {
             // Nobody listens any more.
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(Verdict::Done),
             watched => Ok(watched.map(|()| Verdict::Done)?),

@@ -1,11 +1,13 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
 use super::{
-    DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, stdout::Stdout,
-    summary,
+    DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, calibrate, daemon,
+    stdout::Stdout, summary,
 };
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Frame, Sensor};
+use mcap_session::RecordingError;
+pub(super) use relief::control::all_processors;
 use relief::{
     atomic_file::is_passing,
     capture::RecordFormat,
@@ -13,21 +15,19 @@ use relief::{
         self, CalibrationPlaces, Config, ConfigError, FoundCalibration, LayerPlaces, LayeredConfig,
         Overrides,
     },
-    control::{self, DaemonError, EXIT_INTERRUPTED, Progress},
+    control::{self, ControlError, DaemonError, EXIT_INTERRUPTED, Progress},
     devices::open_recording,
     pipeline::{
-        Ending, GivenPoses, Outcome, OutputFolder, OutputFolderError, Pipeline, PipelineParams,
-        RecordedScan, WhenFull,
+        EVENTS_FILE, Ending, GivenPoses, Outcome, OutputFolder, OutputFolderError, Pipeline,
+        PipelineParams, RecordedScan, SpawnError, WhenFull,
     },
 };
-use replay::{Pacing, SessionWriter};
+use replay::{Pacing, SessionWriter, WriteError};
 use simulated::SimulatedCamera;
 use std::{
     io::Write,
-    num::NonZeroUsize,
     path::{Path, PathBuf},
     process::ExitCode,
-    thread,
     time::Duration,
 };
 
@@ -58,12 +58,9 @@ impl Verdict {
         match error.downcast_ref::<DaemonError>() {
             Some(error) => daemon::verdict_of(error),
             None if error.is::<ConfigError>() => Verdict::BadUsage,
-            None => match error.downcast_ref::<OutputFolderError>() {
-                Some(OutputFolderError::Io { source, .. }) if is_passing(source) => {
-                    Verdict::StorageFailed
-                }
-                _ => Verdict::Failed,
-            },
+            None if error.is::<calibrate::Stopped>() => Verdict::Interrupted,
+            None if lacks_room(error) => Verdict::StorageFailed,
+            None => Verdict::Failed,
         }
     }
 
@@ -89,6 +86,21 @@ impl From<Verdict> for ExitCode {
             Verdict::StorageFailed => 5,
             Verdict::Internal => 70,
         })
+    }
+}
+
+/// Whether a run does not begin for what the disk may do later.
+fn lacks_room(error: &anyhow::Error) -> bool {
+    let of_folder = error.downcast_ref::<OutputFolderError>();
+    let of_run = error.downcast_ref::<ControlError>();
+    match (of_folder, of_run) {
+        (Some(OutputFolderError::Io { source, .. }), _) => is_passing(source),
+        (_, Some(ControlError::Spawn(SpawnError::Recorder(error)))) => match error {
+            RecordingError::DiskFloor { .. } => true,
+            RecordingError::Write(WriteError::Io { source, .. }) => is_passing(source),
+            _ => false,
+        },
+        _ => false,
     }
 }
 
@@ -171,23 +183,11 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         Some(frame_id) => recorded.single_view(frame_id, &found.calibration)?,
         None => recorded,
     };
+    let session = session_name(&args.scan.output);
     let params = PipelineParams {
-        session: session_name(&args.scan.output),
-        capture: config.capture,
-        multipath: config.multipath,
-        fusion: config.fusion,
-        snapshot: config.snapshot,
-        object: config.object,
-        refine: config.refine,
-        is_refined: true,
-        warnings: found.announce(&recorded.info),
-        calibration_source: found.source.to_string(),
-        calibration: found.calibration,
         roi: args.scan.roi.map(|roi| roi.0),
-        poses: None,
         n_threads: args.scan.threads.unwrap_or_else(all_processors),
-        when_full: WhenFull::Block,
-        record: false,
+        ..control::params_of_run(session, config, found, &recorded.info)
     };
     let folder = OutputFolder::claim(&args.out)?;
     let folder = match &args.child.deliver_to {
@@ -227,18 +227,10 @@ fn pipeline_params(
     };
     let found = config::find_calibration(info, &places)?;
     let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
+    let common = control::params_of_run(session_name(&args.session), config, found, info);
     Ok(PipelineParams {
-        session: session_name(&args.session),
-        capture: config.capture,
-        multipath: config.multipath,
-        fusion: config.fusion,
-        snapshot: config.snapshot,
-        object: config.object,
-        refine: config.refine,
         is_refined: !args.no_refine,
-        warnings: [found.announce(info), tell_unknown_keys(&args.session)].concat(),
-        calibration_source: found.source.to_string(),
-        calibration: found.calibration,
+        warnings: [common.warnings, tell_unknown_keys(&args.session)].concat(),
         roi: args.roi.map(|roi| roi.0),
         poses: poses.map(|poses| GivenPoses::new(&poses)),
         n_threads: args.threads.unwrap_or_else(all_processors),
@@ -247,6 +239,7 @@ fn pipeline_params(
             false => WhenFull::Block,
         },
         record: args.record,
+        ..common
     })
 }
 
@@ -383,20 +376,21 @@ pub(super) fn next_frame(
     }
 }
 
-/// The name of the session's folder; that of the folder above where it is called as every recording of the program is.
+/// The name of the session's folder; that of the scan's folder where it is the recording in one, since those are all called the same.
 pub fn session_name(session: &Path) -> String {
     let absolute = session.canonicalize();
     let path = absolute.as_deref().unwrap_or(session);
-    let name = path.file_name().unwrap_or(path.as_os_str());
-    let formats = [RecordFormat::Mcap, RecordFormat::Folder];
-    let says_nothing = formats.iter().any(|format| name == format.folder_name());
-    let above = path.parent().and_then(Path::file_name);
-    let name = above.filter(|_| says_nothing).unwrap_or(name);
+    let scan = path.parent().filter(|above| is_recording_of(path, above));
+    let named_by = scan.unwrap_or(path);
+    let name = named_by.file_name().unwrap_or(named_by.as_os_str());
     name.to_string_lossy().into_owned()
 }
 
-pub(super) fn all_processors() -> NonZeroUsize {
-    thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
+/// Whether a folder is the recording of a scan, whose events are then beside it.
+fn is_recording_of(folder: &Path, scan: &Path) -> bool {
+    let mut formats = [RecordFormat::Mcap, RecordFormat::Folder].into_iter();
+    let has_its_name = formats.any(|format| folder.ends_with(format.folder_name()));
+    has_its_name && scan.join(EVENTS_FILE).is_file()
 }
 
 #[cfg(test)]

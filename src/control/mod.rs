@@ -59,7 +59,7 @@ pub use http::Wish;
 pub use listen::ListenError;
 pub use operate::{ControlError, operate, until_stopped};
 pub use progress::{Progress, ProgressStyle};
-pub use settings::SettingsPlaces;
+pub use settings::{SettingsPlaces, all_processors, params_of_run};
 pub use signals::EXIT_INTERRUPTED;
 pub use stderr::Stderr;
 pub use token::TokenError;

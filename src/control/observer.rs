@@ -236,6 +236,7 @@ mod tests {
             state,
             failures: Vec::new(),
             message: None,
+            lacks_room: None,
             progress: None,
         }
     }

@@ -2,7 +2,9 @@
 
 use super::camera_source::CameraSource;
 use crate::{
-    config::{self, CalibrationPlaces, Config, ConfigError, ControlParams, Overrides},
+    config::{
+        self, CalibrationPlaces, Config, ConfigError, ControlParams, FoundCalibration, Overrides,
+    },
     devices::DeviceParams,
     jobs::WorkerParams,
     lock::lock,
@@ -13,6 +15,7 @@ use std::{
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard},
+    thread,
 };
 
 /// Where the settings come from.
@@ -98,6 +101,11 @@ impl Settings {
         toml::to_string(&config).unwrap_or_default()
     }
 
+    /// Threads of each pool.
+    pub fn n_threads(&self) -> NonZeroUsize {
+        self.places.n_threads
+    }
+
     /// Where calibrations named by serial number lie.
     pub fn calibration_dir(&self) -> &Path {
         &self.places.calibration_dir
@@ -146,28 +154,50 @@ impl Settings {
             },
         )?;
         Ok(PipelineParams {
-            session: session.to_owned(),
-            capture: config.capture,
-            multipath: config.multipath,
-            fusion: config.fusion,
-            snapshot: config.snapshot,
-            object: config.object,
-            refine: config.refine,
             is_refined: false,
-            warnings: found.announce(info),
-            calibration_source: found.source.to_string(),
-            calibration: found.calibration,
-            roi: None,
-            poses: None,
             n_threads: self.places.n_threads,
             when_full: WhenFull::Drop,
             record: self.places.record,
+            ..params_of_run(session.to_owned(), config, found, info)
         })
     }
 
     fn current(&self) -> MutexGuard<'_, Current> {
         lock(&self.current)
     }
+}
+
+/// What a run is to know by its configuration and its calibration, which is announced. All else is as `relief replay` has it without
+/// flags: the run refines, tracks, finds the object, takes all processors, lets frames wait, and does not record them.
+pub fn params_of_run(
+    session: String,
+    config: Config,
+    found: FoundCalibration,
+    info: &CameraInfo,
+) -> PipelineParams {
+    PipelineParams {
+        session,
+        capture: config.capture,
+        multipath: config.multipath,
+        fusion: config.fusion,
+        snapshot: config.snapshot,
+        object: config.object,
+        refine: config.refine,
+        is_refined: true,
+        warnings: found.announce(info),
+        calibration_source: found.source.to_string(),
+        calibration: found.calibration,
+        roi: None,
+        poses: None,
+        n_threads: all_processors(),
+        when_full: WhenFull::Block,
+        record: false,
+    }
+}
+
+/// As many threads as there are processors.
+pub fn all_processors() -> NonZeroUsize {
+    thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }
 
 fn read_config(places: &SettingsPlaces) -> Result<Config, ConfigError> {

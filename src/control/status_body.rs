@@ -28,7 +28,7 @@ pub struct StatusBody {
     pub improvement: Option<ImprovementBody>,
     /// The scan that goes on.
     pub scan: Option<ScanBody>,
-    /// What became of its frames: all but `produced` add up to `produced`.
+    /// What became of its frames: all but `produced` and `missed` add up to `produced`.
     pub frames: FramesBody,
     /// Frames handled a second.
     pub fps: f64,
@@ -94,6 +94,8 @@ pub struct FramesBody {
     pub dropped: u64,
     /// Frames on their way.
     pub in_flight: u64,
+    /// Frames, and infrared images that frames lack, which the driver had and let go; none of them is among those produced.
+    pub missed: u64,
 }
 
 impl From<FrameAccounts> for FramesBody {
@@ -107,6 +109,7 @@ impl From<FrameAccounts> for FramesBody {
             damaged: frames.damaged,
             dropped: frames.dropped,
             in_flight: frames.in_flight,
+            missed: frames.missed,
         }
     }
 }
@@ -152,7 +155,7 @@ pub struct RefinementBody {
     pub rmse: Option<f64>,
     /// Seconds that are left.
     pub secs_left: Option<f64>,
-    /// What is to be said of its ending.
+    /// What is to be said of its ending, or why it waits behind others: its outputs found no room on the disk.
     pub message: Option<String>,
 }
 
@@ -360,7 +363,10 @@ impl From<Job> for RefinementBody {
             secs_left: progress
                 .secs_left
                 .filter(|_| job.state == JobState::Running),
-            message: job.message.or(job.failures.last().cloned()),
+            message: job
+                .message
+                .or(job.lacks_room)
+                .or(job.failures.last().cloned()),
         }
     }
 }

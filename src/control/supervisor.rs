@@ -349,5 +349,6 @@ pub fn sum(a: &FrameAccounts, b: &FrameAccounts) -> FrameAccounts {
         damaged: a.damaged + b.damaged,
         dropped: a.dropped + b.dropped,
         in_flight: a.in_flight + b.in_flight,
+        missed: a.missed + b.missed,
     }
 }

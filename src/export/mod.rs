@@ -41,6 +41,7 @@ mod calibration_sections;
 mod colour_scale;
 mod scatter;
 
+pub use crate::atomic_file::is_passing;
 pub use atomic::write_atomically;
 pub use attributes::VertexAttributes;
 pub use calibration_page::{

@@ -19,6 +19,8 @@ pub struct FrameAccounts {
     pub dropped: u64,
     /// Frames on their way to fusion, or in its hands.
     pub in_flight: u64,
+    /// Frames, and infrared images that frames lack, which the driver had and let go: none of them is among those produced.
+    pub missed: u64,
 }
 
 /// What can become of a frame that was on its way to fusion.

@@ -7,8 +7,8 @@ use crate::{
     capture::RecorderSummary,
     export::{
         ExportError, Report, ReportPictures, SNAPSHOTS, SnapshotExport, SnapshotRecord,
-        VertexAttributes, write_atomically, write_glb, write_masks, write_ply, write_report_html,
-        write_report_json, write_trajectory,
+        VertexAttributes, is_passing, write_atomically, write_glb, write_masks, write_ply,
+        write_report_html, write_report_json, write_trajectory,
     },
     geometry::{Pose, TriMesh},
     lock::lock,
@@ -174,7 +174,11 @@ impl Outbox {
     pub fn recorded(&self, summary: &RecorderSummary) {
         self.with_account(|account| {
             account.outputs.extend_from_slice(&summary.outputs);
-            account.failures.extend_from_slice(&summary.failures);
+            for failure in &summary.failures {
+                let may_pass = failure.cause.is_some_and(|kind| is_passing(&kind.into()));
+                account.n_passing += usize::from(may_pass);
+                account.failures.push(failure.what.clone());
+            }
             account.warnings.extend_from_slice(&summary.warnings);
         });
     }
@@ -252,7 +256,8 @@ fn depth_mask(snapshot: &ShadingSnapshot) -> Image<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::{fs, os::unix::fs::symlink};
+    use crate::capture::Unrecorded;
+    use std::{fs, io::ErrorKind, os::unix::fs::symlink};
 
     #[test]
     fn what_the_disk_may_take_later_is_counted_among_what_could_not_be_written() {
@@ -267,5 +272,25 @@ mod tests {
         write();
         let account = outbox.account();
         assert_eq!((account.failures.len(), account.n_passing), (2, 1));
+    }
+
+    #[test]
+    fn what_the_recorder_found_no_room_for_is_counted_as_well() {
+        let outbox = Outbox::inside(Path::new("out"));
+        let causes = [
+            Some(ErrorKind::StorageFull),
+            Some(ErrorKind::PermissionDenied),
+            None,
+        ];
+        let failures = causes.map(|cause| Unrecorded {
+            what: "3 events are missing".to_owned(),
+            cause,
+        });
+        outbox.recorded(&RecorderSummary {
+            failures: failures.into(),
+            ..RecorderSummary::default()
+        });
+        let account = outbox.account();
+        assert_eq!((account.failures.len(), account.n_passing), (3, 1));
     }
 }

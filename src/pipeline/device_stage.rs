@@ -70,6 +70,10 @@ pub fn run(
                 }));
                 true
             }
+            Delivery::Missed(total) => {
+                setup.status.update(|status| status.frames.missed = total);
+                true
+            }
             Delivery::Frame(frame) => {
                 last_frame_id = frame.frame_id;
                 pass_on(frame)

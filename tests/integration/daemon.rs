@@ -29,7 +29,7 @@ fn assert_accounted(status: &Value) {
     let count = |key: &str| frames[key].as_u64().unwrap();
     let elsewhere: u64 = frames
         .keys()
-        .filter(|key| *key != "produced")
+        .filter(|key| !matches!(key.as_str(), "produced" | "missed"))
         .map(|key| count(key))
         .sum();
     assert_eq!(elsewhere, count("produced"), "{frames:?}");
@@ -391,6 +391,7 @@ fn every_route_is_in_the_document() {
     for line in [
         "relief_tracking_state{state=\"idle\"} 1.0",
         "relief_frames_total{outcome=\"fused\"} 0",
+        "relief_frames_missed_total 0",
         "relief_frames_unaccounted 0.0",
         "relief_snapshots_kept 0.0",
         "# EOF",

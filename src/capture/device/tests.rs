@@ -33,6 +33,7 @@ struct Sink {
     frames: Vec<u64>,
     events: Vec<Event>,
     health: Vec<DeviceHealth>,
+    missed: Vec<u64>,
 }
 
 fn frame(frame_id: u64) -> Result<Option<Frame>, CameraError> {
@@ -74,6 +75,7 @@ fn run_with(
             Delivery::Frame(frame) => sink.frames.push(frame.frame_id),
             Delivery::Event(event) => sink.events.push(event),
             Delivery::Health(health) => sink.health.push(health),
+            Delivery::Missed(total) => sink.missed.push(total),
         }
         true
     });
@@ -182,9 +184,12 @@ fn what_the_driver_misses_is_counted_while_frames_are_waited_for() {
         frame(3),
         Ok(None),
     ];
-    let (summary, _) = run_with(&patient(1000.0), None, answers);
+    let (summary, sink) = run_with(&patient(1000.0), None, answers);
     // Three calls after the first frame, until it is told to be gone, and two after the first one that is back.
     assert_eq!(summary.n_missed, 50);
+    // Of the first three it is told on the way, and of all at the end.
+    assert!(sink.missed.contains(&30), "{:?}", sink.missed);
+    assert_eq!(sink.missed.last(), Some(&50));
 }
 
 #[test]

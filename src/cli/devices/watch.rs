@@ -19,23 +19,28 @@ const LISTEN: Duration = Duration::from_millis(100);
 /// The bus is looked at so often even if udev says nothing: there may be none, and programs open devices without its knowing.
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
+/// Tells what has become of a Kinect.
+pub type Tell = fn(what: &str, kinect: &Kinect) -> io::Result<()>;
+
 /// Tells of all that is there, then of every change, until the flag is set.
-pub fn watch(root: &Path, json: bool, stop: &AtomicBool) -> io::Result<()> {
+pub fn watch(root: &Path, tell: Tell, stop: &AtomicBool) -> io::Result<()> {
     let machine = Machine::under(root);
     let mut monitor = UsbMonitor::open().ok();
     let mut known = Vec::new();
     while !stop.load(Ordering::Relaxed) {
         let there = list(&machine);
         for kinect in known.iter().filter(|kinect| is_gone(kinect, &there)) {
-            tell("removed", kinect, json)?;
+            tell("removed", kinect)?;
         }
         for kinect in there.iter().filter(|kinect| !known.contains(kinect)) {
             let what = match is_gone(kinect, &known) {
                 true => "added",
                 false => "changed",
             };
-            tell(what, kinect, json)?;
+            tell(what, kinect)?;
         }
+        // Unlike `Stdout` this tells that nobody reads any more.
+        io::stdout().flush()?;
         known = there;
         wait(&mut monitor, stop);
     }
@@ -48,20 +53,16 @@ fn is_gone(kinect: &Kinect, there: &[Kinect]) -> bool {
     there.iter().all(|other| place(other) != place(kinect))
 }
 
-fn tell(what: &str, kinect: &Kinect, json: bool) -> io::Result<()> {
-    match json {
-        true => writeln!(
-            Stdout,
-            "{}",
-            json!({ "event": what, "device": entry(kinect) })
-        )?,
-        false => {
-            write!(Stdout, "{what}: ")?;
-            print_entry(&entry(kinect))?;
-        }
-    }
-    // Unlike `Stdout` this tells that nobody reads any more.
-    io::stdout().flush()
+/// Tells it as one JSON object on a line.
+pub fn tell_json(what: &str, kinect: &Kinect) -> io::Result<()> {
+    let object = json!({ "event": what, "device": entry(kinect) });
+    writeln!(Stdout, "{object}")
+}
+
+/// Tells it as text.
+pub fn tell_text(what: &str, kinect: &Kinect) -> io::Result<()> {
+    write!(Stdout, "{what}: ")?;
+    print_entry(&entry(kinect))
 }
 
 /// Returns when udev tells of a device, when it is time to look again, or soon after the flag is set.

@@ -2,17 +2,24 @@
 
 use super::*;
 use relief::export::Report;
-use std::io::ErrorKind;
+use std::{fs, io::ErrorKind};
 
 #[test]
-fn a_recording_of_the_program_is_named_by_the_folder_that_it_lies_in() {
+fn the_recording_of_a_scan_is_named_by_the_scan_and_any_other_folder_by_itself() {
+    let root = tempfile::tempdir().unwrap();
+    let path = |name: &str| root.path().join(name);
+    for folder in ["vase/recording", "vase/session", "out/session"] {
+        fs::create_dir_all(path(folder)).unwrap();
+    }
+    fs::write(path("vase/events.jsonl"), "").unwrap();
     for (session, name) in [
-        ("scans/vase/recording", "vase"),
-        ("scans/vase/session/", "vase"),
-        ("scans/vase", "vase"),
-        ("recording", "recording"),
+        ("vase/recording", "vase"),
+        ("vase/session/", "vase"),
+        ("vase", "vase"),
+        ("out/session", "session"),
+        ("none/recording", "recording"),
     ] {
-        assert_eq!(session_name(Path::new(session)), name);
+        assert_eq!(session_name(&path(session)), name);
     }
 }
 
@@ -32,6 +39,10 @@ fn a_disk_that_may_take_the_outputs_later_has_a_code_of_its_own() {
         let outcome = outcome(n_failures, n_passing);
         assert_eq!(Verdict::of_outcome(&outcome), expected);
     }
+    let of_recorder = |error: RecordingError| {
+        let error = ControlError::from(SpawnError::from(error));
+        Verdict::of_error(&error.into())
+    };
     for (kind, expected) in [
         (ErrorKind::StorageFull, Verdict::StorageFailed),
         (ErrorKind::PermissionDenied, Verdict::Failed),
@@ -41,5 +52,16 @@ fn a_disk_that_may_take_the_outputs_later_has_a_code_of_its_own() {
             source: kind.into(),
         };
         assert_eq!(Verdict::of_error(&error.into()), expected);
+        let source = WriteError::Io {
+            path: "out/events.jsonl".into(),
+            source: kind.into(),
+        };
+        assert_eq!(of_recorder(source.into()), expected);
     }
+    let floor = RecordingError::DiskFloor {
+        folder: "out/recording".into(),
+        free_bytes: 1,
+        floor_bytes: 2,
+    };
+    assert_eq!(of_recorder(floor), Verdict::StorageFailed);
 }

@@ -99,14 +99,10 @@ pub fn verify(args: &SessionArgs) -> anyhow::Result<Verdict> {
     } else {
         reports.iter().try_for_each(print_report)?;
     }
-    Ok(verdict(is_whole))
-}
-
-fn verdict(is_whole: bool) -> Verdict {
-    match is_whole {
+    Ok(match is_whole {
         true => Verdict::Done,
         false => Verdict::Failed,
-    }
+    })
 }
 
 fn file(report: &FileReport) -> Value {

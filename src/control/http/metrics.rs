@@ -79,6 +79,11 @@ fn scans(scrape: &mut Scrape, supervisor: &Supervisor) {
         "outcome",
         &outcomes,
     );
+    scrape.counter(
+        "frames_missed",
+        "Frames, and infrared images that frames lack, which the driver had and let go",
+        frames.missed,
+    );
     scrape.gauge(
         "snapshots_kept",
         "Shading images of the scan that goes on",

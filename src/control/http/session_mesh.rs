@@ -15,7 +15,7 @@ use crate::{
     export::read_ply,
     geometry::{TriMesh, TriangleBvh},
     lock::lock,
-    pipeline::{BASE_PLY, REFINED_PLY},
+    pipeline::{BASE_PLY, REFINED_PLY, idle_pool},
 };
 use axum::{
     body::Bytes,
@@ -29,6 +29,7 @@ use sha2::{Digest, Sha256};
 use std::{
     collections::VecDeque,
     fs,
+    num::NonZeroUsize,
     sync::{Arc, Mutex, MutexGuard},
     time::SystemTime,
 };
@@ -151,7 +152,11 @@ pub async fn mesh(
     let looked = app.clone();
     let source = aside(move || Source::of(&looked.supervisor.data, id, which)).await?;
     let meshes = app.held_meshes.clone();
-    let made = meshes.find_or_make(source, move |source| make(&app.supervisor.data, source));
+    let made = meshes.find_or_make(source, move |source| {
+        let supervisor = &app.supervisor;
+        let n_threads = supervisor.settings.n_threads();
+        beside_a_scan(n_threads, || make(&supervisor.data, source))
+    });
     let hash = made.await?;
     let location = [
         (header::LOCATION, format!("/api/v1/meshes/{hash}")),
@@ -219,6 +224,15 @@ impl Which {
     }
 }
 
+/// Makes something that a scan is not to wait for, on threads of the idle class, which end with it: there is no way back out of it.
+fn beside_a_scan<T: Send>(
+    n_threads: NonZeroUsize,
+    make: impl FnOnce() -> Result<T, Problem> + Send,
+) -> Result<T, Problem> {
+    let pool = idle_pool("meshes", n_threads).map_err(Problem::internal)?;
+    pool.install(make)
+}
+
 fn make(data: &DataFolder, source: &Source) -> Result<Vec<u8>, Problem> {
     let mut meshes = Vec::new();
     for name in source.which.files() {
@@ -280,6 +294,19 @@ mod tests {
         assert!(hashes.0.is_ok());
         assert_eq!((&hashes.0, &hashes.0), (&hashes.1, &hashes.2));
         assert_eq!(n_made.load(Ordering::Relaxed), 1);
+    }
+
+    #[test]
+    fn a_mesh_is_made_in_the_idle_class() {
+        /// `SCHED_IDLE`, sched(7).
+        const IDLE: &str = "5";
+        // The 41st field, proc_pid_stat(5), of which the name is the second.
+        let policy = beside_a_scan(NonZeroUsize::MIN, || {
+            let stat = fs::read_to_string("/proc/thread-self/stat")?;
+            let (_, after_name) = stat.rsplit_once(") ").unwrap();
+            Ok(after_name.split(' ').nth(38).unwrap().to_owned())
+        });
+        assert_eq!(policy.unwrap(), IDLE);
     }
 
     fn square_at(z: f64) -> TriMesh {

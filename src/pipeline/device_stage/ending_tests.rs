@@ -136,6 +136,11 @@ impl DepthCamera for Scripted {
         }
         Ok(None)
     }
+
+    /// Three with each frame.
+    fn n_missed(&self) -> u64 {
+        3 * self.seen.lock().unwrap().n_frames
+    }
 }
 
 fn run_with(steps: Vec<Step>, when_full: WhenFull) -> (CaptureSummary, Seen, StatusSlot) {
@@ -185,6 +190,7 @@ proptest! {
         prop_assert_eq!(accounts.produced, seen.n_frames + seen.n_damaged);
         prop_assert_eq!(accounts.produced, summary.n_frames);
         prop_assert_eq!((accounts.fused, accounts.damaged), (seen.n_taken, seen.n_damaged));
+        prop_assert_eq!(accounts.missed, summary.n_missed);
         // The camera, and with it the end that fusion has of the edge, is gone.
         prop_assert_eq!((accounts.in_flight, accounts.unaccounted()), (0, 0));
     }
