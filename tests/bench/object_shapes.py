@@ -201,7 +201,78 @@ def chest(random):
     return merged(parts), "round"
 
 
+def rock(random):
+    """Rough: waves of many lengths, and chisel marks."""
+    polar, theta = np.linspace(1e-3, np.pi - 0.25, 900), np.linspace(0, 2 * np.pi, 1600, endpoint=False)
+    p, t = np.meshgrid(polar, theta, indexing="ij")
+    d = np.stack([np.sin(p) * np.cos(t), np.sin(p) * np.sin(t), np.cos(p)], -1)
+    r = np.full(p.shape, 0.075)
+    for length, height, n in ((0.09, 0.010, 6), (0.035, 0.003, 10), (0.012, 0.0007, 24), (0.007, 0.00035, 24)):
+        for _ in range(n):
+            k = unit(random.normal(size=3)) * 2 * np.pi * 0.075 / length
+            r = r + height / np.sqrt(n) * np.sin(d @ k + random.uniform(0, 6.3))
+    marks = np.clip(np.sin(60 * t + 8 * np.sin(9 * p)) - 0.8, 0, 1) * (np.abs(p - 1.3) < 0.25)
+    r = r - 0.0028 * marks
+    points = d * r[..., None] * [1, 0.85, 1.1]
+    points[..., 2] -= points[..., 2].min()
+    body = sheet(points[::-1], 0.5, wraps=True)
+    rim = points[-1]
+    foot = sheet(np.stack([rim * [s, s, 1] for s in np.linspace(1, 1e-3, 40)])[::-1], 0.5, wraps=True)
+    return merged([body, foot]), "round"
+
+
+def mug(random):
+    """Walls of 4 mm seen from both sides, a handle, signs in relief, grooves, a painted band."""
+    theta = np.linspace(0, 2 * np.pi, 1400, endpoint=False)
+    z = np.linspace(0, 0.12, 460)
+    r_out = np.full((len(z), len(theta)), 0.046) + 0.002 * np.exp(-((z[:, None] - 0.004) / 0.004) ** 2)
+    emboss = np.zeros((len(z), len(theta)))
+    for k in range(12):
+        c = 2 * np.pi * (k + 0.5) / 12
+        u = (np.mod(theta - c + np.pi, 2 * np.pi) - np.pi)[None, :] * 0.046
+        w = z[:, None] - 0.062
+        ring = np.abs(np.hypot(u, w) - 0.007) < 0.0011
+        cross = ((np.abs(u) < 0.001) | (np.abs(w) < 0.001)) & (np.hypot(u, w) < 0.009)
+        diamond = np.abs(np.abs(u) + np.abs(w) - 0.008) < 0.0013
+        emboss = np.maximum(emboss, 0.0009 * [ring, cross, diamond][k % 3])
+    emboss = gaussian_filter(emboss, (1.5, 1.5), mode=("nearest", "wrap"))
+    emboss += 0.0005 * (np.sin(z * 2 * np.pi / 0.004) * np.exp(-((z - 0.1) / 0.008) ** 4))[:, None]
+    albedo = np.where(np.abs(z - 0.025) < 0.008, 0.3, 0.6)[:, None] * np.ones((1, len(theta)))
+    outer = turned(r_out + emboss, z, theta, albedo)
+    lip = np.linspace(0, np.pi, 30)
+    inner_z = np.linspace(0.12, 0.006, 300)
+    lip_part = turned((0.044 + 0.002 * np.cos(lip))[:, None] * np.ones((1, len(theta))), 0.12 + 0.002 * np.sin(lip), theta, 0.6)
+    inside = turned(np.full((300, len(theta)), 0.042), inner_z, theta, 0.6)
+    floor = turned(np.linspace(0.042, 1e-4, 100)[:, None] * np.ones((1, len(theta))), np.full(100, 0.006), theta, 0.6)
+    along, about = np.linspace(-1.9, 1.9, 200)[:, None], np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    across = np.stack(np.broadcast_arrays(np.cos(about) * np.cos(along), np.sin(about), np.cos(about) * np.sin(along)), -1)
+    middle = np.stack([0.052 + 0.027 * np.cos(along), np.zeros_like(along), 0.062 + 0.033 * np.sin(along)], -1)
+    handle = middle + 0.0065 * across
+    return merged([outer, lip_part, inside, floor, sheet(handle, 0.6, wraps=True)]), "round"
+
+
+def medal(random):
+    """Flat, on the table: 9 mm high, a relief of tenths of millimetres."""
+    theta = np.linspace(0, 2 * np.pi, 1800, endpoint=False)
+    far = np.linspace(0.1, 1e-4, 520)
+    fr, th = np.meshgrid(far, theta, indexing="ij")
+    x, y = fr * np.cos(th), fr * np.sin(th)
+    top = np.full(fr.shape, 0.009) + 0.0012 * np.clip((fr - 0.092) / 0.0008, 0, 1)
+    for _ in range(60):
+        k = random.normal(size=2) * 2 * np.pi / 0.02
+        top += 0.00006 * np.sin(x * k[0] + y * k[1] + random.uniform(0, 6.3)) * (fr < 0.085)
+    face = 0.004 * np.clip(1 - (x / 0.045) ** 2 - (y / 0.055) ** 2, 0, None) ** 0.7
+    top += face + 0.0006 * np.sin(np.hypot(x, y + 0.02) * 2 * np.pi / 0.006) * (face > 0.0005)
+    top += 0.0005 * (np.abs(np.mod(th, 2 * np.pi / 40) - np.pi / 40) < 0.02) * ((fr > 0.07) & (fr < 0.088))
+    cap = sheet(np.stack([x, y, top], -1), 0.6, wraps=True)
+    side = sheet(np.stack([np.stack([x[0], y[0], top[0] * s], -1) for s in np.linspace(0, 1, 40)]), 0.6, wraps=True)
+    return merged([side, cap]), "above"
+
+
 OBJECTS = {
+    "rock": rock,
+    "mug": mug,
+    "medal": medal,
     "bowl": bowl,
     "chest": chest,
     "vase": vase,

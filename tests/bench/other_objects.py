@@ -7,7 +7,8 @@
 Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pressed into clay, from the front), `stained` (the
 same, of an albedo that changes slowly), `painted` (the same, with an ornament), `gear` (sharp
 teeth, letters cut into the top, from above), `figure` (folds, thin arms, all round), `bowl` (deep, light goes from wall to wall,
-from above), `chest` (sharp edges, frames and strokes, all round). They stand on a grey table among boxes.
+from above), `chest` (sharp edges, frames and strokes, all round), `rock` (rough, all round), `mug` (thin walls, a handle, all round),
+`medal` (flat, a low relief, from above). They stand on a grey table among boxes.
 
 Light that goes over other surfaces is in the images: rays on the true surface, over four points of a pixel; over two and more of them as
 places spread over the object gather it.
