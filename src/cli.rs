@@ -35,8 +35,8 @@ use values::{CropArg, PoseArg, RoiArg, SensorArg, folds};
 #[command(
     name = "relief",
     version,
-    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 130 interrupted;\n\
-                  of the daemon also 3 bad configuration, 4 no such recording, 5 no storage, 70 refused by the system.\n\
+    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage or configuration, 5 no room on the disk, 130 interrupted;\n\
+                  of the daemon also 3 bad configuration, 4 no such recording, 5 no data folder, 70 refused by the system.\n\
                   Logs go to standard error; RUST_LOG sets their level."
 )]
 pub struct Cli {

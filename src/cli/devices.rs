@@ -9,7 +9,7 @@ use super::{
 use clap::Args;
 use relief::{
     config::calibration_path,
-    control,
+    control::{self, DataFolder},
     devices::{
         Controller, Kinect, Machine, Model,
         doctor::{self, Check, Finding, Level},
@@ -43,9 +43,9 @@ pub struct DoctorArgs {
     /// Look at the machine whose files lie in this folder instead: a copy of /sys, /dev, /etc
     #[arg(long, value_name = "DIR", default_value = "/")]
     pub root: PathBuf,
-    /// Folder that scans and recordings go to
-    #[arg(long, value_name = "DIR", default_value = ".")]
-    pub data: PathBuf,
+    /// Folder that scans go to; where `relief run` writes them without it
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
     /// Configuration, beside which calibrations are looked for
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -155,7 +155,11 @@ pub fn doctor(args: &DoctorArgs) -> anyhow::Result<Verdict> {
     }
     require_folder("--root", &args.root)?;
     let machine = Machine::under(&args.root);
-    let mut findings = doctor::examine(&machine, &args.data);
+    let data = match &args.data {
+        Some(data) => data.clone(),
+        None => DataFolder::conventional()?,
+    };
+    let mut findings = doctor::examine(&machine, &data);
     let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;
     let kinects = list(&machine);
     findings.extend(

@@ -8,6 +8,7 @@ use super::{
 use anyhow::{Context, ensure};
 use clap::Args;
 use depth_camera::{CameraError, DepthCamera, Frame};
+use mcap_session::RecordingError;
 use relief::{
     config::{self, CalibrationPlaces, Config, Overrides},
     control::{self, Stderr},
@@ -111,7 +112,7 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
         config.capture.record_depth_units_per_metre,
     )
     .context("cannot record")?;
-    let summary = control::until_stopped(move |stop| run(sink, &limits, stop))?;
+    let (summary, verdict) = control::until_stopped(move |stop| run(sink, &limits, stop))?;
     match args.json {
         true => writeln!(Stdout, "{}", serde_json::to_string(&summary)?)?,
         false => writeln!(
@@ -128,10 +129,17 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
     for failure in &summary.failures {
         writeln!(Stderr, "error: {failure}")?;
     }
-    Ok(match summary.failures.is_empty() {
-        true => Verdict::Done,
-        false => Verdict::Failed,
-    })
+    Ok(verdict)
+}
+
+/// What the ends of a recording mean for the exit code.
+fn verdict_of(errors: &[anyhow::Error]) -> Verdict {
+    let lacks_room = |error: &anyhow::Error| Verdict::of_error(error) == Verdict::StorageFailed;
+    match errors {
+        [] => Verdict::Done,
+        errors if errors.iter().all(lacks_room) => Verdict::StorageFailed,
+        _ => Verdict::Failed,
+    }
 }
 
 /// Where a recording ends, unless somebody stops it.
@@ -149,13 +157,15 @@ impl Limits {
         let folder = path::absolute(&self.folder)?;
         let present = folder.ancestors().find(|folder| folder.exists());
         let free_bytes = mcap_session::free_bytes(present.unwrap_or(&folder))?;
-        ensure!(
-            free_bytes >= self.floor_bytes,
-            "{free_bytes} bytes are free on the disk of {}, recording stops below {} (capture.min_free_disk_mb)",
-            folder.display(),
-            self.floor_bytes
-        );
-        Ok(())
+        if free_bytes >= self.floor_bytes {
+            return Ok(());
+        }
+        let error = RecordingError::DiskFloor {
+            folder,
+            free_bytes,
+            floor_bytes: self.floor_bytes,
+        };
+        Err(anyhow::Error::new(error).context("no room to record (capture.min_free_disk_mb)"))
     }
 }
 
@@ -230,7 +240,7 @@ impl Sink {
 }
 
 /// Records up to a limit, until the flag is set, or something fails.
-fn run(mut sink: Sink, limits: &Limits, stop: &AtomicBool) -> Summary {
+fn run(mut sink: Sink, limits: &Limits, stop: &AtomicBool) -> (Summary, Verdict) {
     let start = Instant::now();
     let mut summary = Summary {
         status: "complete",
@@ -241,11 +251,13 @@ fn run(mut sink: Sink, limits: &Limits, stop: &AtomicBool) -> Summary {
     summary.seconds = start.elapsed().as_secs_f64();
     summary.recorded = sink.n_written();
     let finished = sink.finish().map_err(anyhow::Error::from);
-    for error in [ended, finished].into_iter().filter_map(Result::err) {
+    let ends = [ended, finished].into_iter();
+    let errors: Vec<anyhow::Error> = ends.filter_map(Result::err).collect();
+    if !errors.is_empty() {
         summary.status = "failed";
-        summary.failures.push(with_causes(&error));
     }
-    summary
+    summary.failures = errors.iter().map(with_causes).collect();
+    (summary, verdict_of(&errors))
 }
 
 /// Writes frames until the time is over, the flag is set, the disk is nearly full, or the device fails in another way than by
@@ -298,6 +310,7 @@ fn take_frames(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::ErrorKind;
 
     #[test]
     fn a_disk_without_room_is_told_of_before_there_is_a_folder() {
@@ -311,7 +324,29 @@ mod tests {
             limits.check_room()
         };
         assert!(check(0).is_ok());
-        let error = check(u64::MAX).unwrap_err().to_string();
-        assert!(error.contains("capture.min_free_disk_mb"), "{error}");
+        let error = check(u64::MAX).unwrap_err();
+        let told = with_causes(&error);
+        assert!(told.contains("capture.min_free_disk_mb"), "{told}");
+        assert!(told.contains("bytes are free on the disk of"), "{told}");
+        assert_eq!(Verdict::of_error(&error), Verdict::StorageFailed);
+    }
+
+    #[test]
+    fn a_recording_that_only_lacks_room_has_a_code_of_its_own() {
+        let refused = |kind: ErrorKind| {
+            anyhow::Error::from(WriteError::Io {
+                path: "out/depth/00001.png".into(),
+                source: kind.into(),
+            })
+        };
+        let verdict = |kinds: &[ErrorKind]| {
+            let errors: Vec<_> = kinds.iter().copied().map(refused).collect();
+            verdict_of(&errors)
+        };
+        let (full, missing) = (ErrorKind::StorageFull, ErrorKind::NotFound);
+        assert_eq!(verdict(&[]), Verdict::Done);
+        assert_eq!(verdict(&[full]), Verdict::StorageFailed);
+        assert_eq!(verdict(&[missing]), Verdict::Failed);
+        assert_eq!(verdict(&[full, missing]), Verdict::Failed);
     }
 }

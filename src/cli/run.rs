@@ -46,7 +46,7 @@ pub enum Verdict {
     BadConfiguration,
     /// The daemon's camera does not answer.
     NoDevice,
-    /// The daemon's data directory cannot be used, or a disk does not take the outputs now and may later.
+    /// The daemon's data directory cannot be used, or a disk does not take what is to be written now and may later.
     StorageFailed,
     /// The system refuses what the daemon needs.
     Internal,
@@ -89,19 +89,21 @@ impl From<Verdict> for ExitCode {
     }
 }
 
-/// Whether a run does not begin for what the disk may do later.
+/// Whether something cannot be written for what the disk may do later.
 fn lacks_room(error: &anyhow::Error) -> bool {
-    let of_folder = error.downcast_ref::<OutputFolderError>();
-    let of_run = error.downcast_ref::<ControlError>();
-    match (of_folder, of_run) {
-        (Some(OutputFolderError::Io { source, .. }), _) => is_passing(source),
-        (_, Some(ControlError::Spawn(SpawnError::Recorder(error)))) => match error {
-            RecordingError::DiskFloor { .. } => true,
-            RecordingError::Write(WriteError::Io { source, .. }) => is_passing(source),
-            _ => false,
-        },
-        _ => false,
+    if let Some(OutputFolderError::Io { source, .. }) = error.downcast_ref::<OutputFolderError>() {
+        return is_passing(source);
     }
+    let of_recording = match error.downcast_ref::<ControlError>() {
+        Some(ControlError::Spawn(SpawnError::Recorder(error))) => Some(error),
+        _ => error.downcast_ref::<RecordingError>(),
+    };
+    let of_writing = match of_recording {
+        Some(RecordingError::DiskFloor { .. }) => return true,
+        Some(RecordingError::Write(error)) => Some(error),
+        _ => error.downcast_ref::<WriteError>(),
+    };
+    matches!(of_writing, Some(WriteError::Io { source, .. }) if is_passing(source))
 }
 
 /// `relief replay`.

@@ -6,25 +6,27 @@ mod look;
 mod mend;
 
 use super::run::Verdict;
+use anyhow::ensure;
 use clap::{Args, Subcommand};
-use std::path::PathBuf;
+use relief::devices::Recording;
+use std::path::{Path, PathBuf};
 
 /// What to do with recordings.
 #[derive(Debug, Subcommand)]
 pub enum SessionCommand {
-    /// List the recordings in a folder and in those beneath it
+    /// List the MCAP recordings in a folder and in those beneath it
     Ls(ListArgs),
-    /// Say what a recording is of, and how far it came
+    /// Say what an MCAP recording is of, and how far it came
     Info(SessionArgs),
-    /// Read every byte of a recording, and say what is damaged; nothing is changed
+    /// Read every byte of an MCAP recording, and say what is damaged; nothing is changed
     Verify(SessionArgs),
-    /// Mend in place a recording whose process died or whose bytes are damaged, or all in a folder that were left open
+    /// Mend in place an MCAP recording whose process died or whose bytes are damaged, or all in a folder that were left open
     Repair(RepairArgs),
     /// Write a recording as a folder of 16-bit PNG images with lists
     Export(ConvertArgs),
-    /// Write a folder of images with lists, or another program's bag, as a recording
+    /// Write a folder of images with lists, a raw recording, or another program's bag, as an MCAP recording
     Import(ConvertArgs),
-    /// Remove recordings, and nothing else in their folders
+    /// Remove MCAP recordings, and nothing else in their folders
     Rm(RemoveArgs),
 }
 
@@ -110,6 +112,18 @@ pub fn session(command: &SessionCommand) -> anyhow::Result<Verdict> {
         SessionCommand::Import(args) => convert::import(args),
         SessionCommand::Rm(args) => mend::remove(args),
     }
+}
+
+/// Refuses what plays as a recording but is none in MCAP: a folder of images, or what a device sent.
+fn require_mcap(session: &Path) -> anyhow::Result<()> {
+    let is_raw = Recording::of_folder(session) != Recording::Session;
+    let is_other = is_raw || session.join(replay::SESSION_FILE_NAME).is_file();
+    ensure!(
+        mcap_session::is_recording(session) || !is_other,
+        "{} is no recording in MCAP; relief session import makes one of it",
+        session.display()
+    );
+    Ok(())
 }
 
 /// Bytes as an operator reads them.

@@ -55,6 +55,7 @@ mod watchdog;
 
 pub use camera_source::CameraSource;
 pub use daemon::{DaemonError, DaemonSetup, run as run_daemon};
+pub use data_folder::DataFolder;
 pub use http::Wish;
 pub use listen::ListenError;
 pub use operate::{ControlError, operate, until_stopped};

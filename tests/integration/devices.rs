@@ -471,6 +471,23 @@ fn the_program_lists_and_examines_and_its_exit_code_tells() {
     assert_eq!(rules.unwrap().stdout, UDEV_RULES.as_bytes());
 }
 
+#[test]
+fn the_disk_is_looked_at_where_scans_are_written() {
+    let tree = Tree::healthy();
+    let examined = Command::new(PROGRAM)
+        .args(["doctor", "--json", "--root"])
+        .arg(tree.root.path())
+        .env_remove("STATE_DIRECTORY")
+        .env("XDG_STATE_HOME", tree.path("state"))
+        .output()
+        .unwrap();
+    let findings = object(&examined)["findings"].clone();
+    let mut findings = findings.as_array().unwrap().iter();
+    let disk = findings.find(|f| f["check"] == "disk").unwrap();
+    let says = disk["says"].as_str().unwrap();
+    assert!(says.ends_with("state/relief"), "{says}");
+}
+
 /// The program as a user who is nobody, where this one may become him.
 #[test]
 fn a_device_that_may_not_be_opened_is_an_error() {

@@ -1,6 +1,6 @@
 //! `relief session`, and recordings in place of folders of images.
 
-use crate::support::{PROGRAM, Workbench, assert_says, summary};
+use crate::support::{PROGRAM, Workbench, assert_says, demo, fuse, fused_demo, summary};
 use serde_json::Value;
 use std::{
     fs,
@@ -29,12 +29,7 @@ fn text(path: &Path) -> &str {
 
 /// The base mesh of a session, fused only.
 fn base_mesh(session: &Path, out: &Path) -> Vec<u8> {
-    let output = Command::new(PROGRAM)
-        .args(["replay", text(session), "--out", text(out)])
-        .args(["--no-refine", "--json"])
-        .output()
-        .unwrap();
-    assert_says(&output, 0, &[]);
+    fuse(session, out, &[]);
     fs::read(out.join("base.ply")).unwrap()
 }
 
@@ -79,14 +74,15 @@ fn what_is_damaged_is_left_out_and_told_of() {
 #[test]
 fn the_demo_as_a_recording_gives_the_same_mesh_to_the_byte() {
     let root = tempfile::tempdir().unwrap();
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
     let recording = root.path().join("recording");
-    let imported = said(&["import", text(&demo), "--out", text(&recording)]);
+    let imported = said(&["import", text(&demo()), "--out", text(&recording)]);
     assert_eq!(
         (&imported["frames"], &imported["damaged"]),
         (&48.into(), &0.into())
     );
-    let of_images = base_mesh(&demo, &root.path().join("a"));
+    let images = root.path().join("a");
+    fused_demo(&images);
+    let of_images = fs::read(images.join("base.ply")).unwrap();
     let of_recording = base_mesh(&recording, &root.path().join("b"));
     assert!(of_images == of_recording, "the meshes differ");
     // One file of it, without the folder around it but with its calibration.
@@ -101,6 +97,15 @@ fn the_demo_as_a_recording_gives_the_same_mesh_to_the_byte() {
     .unwrap();
     let of_file = base_mesh(&file, &root.path().join("c"));
     assert!(of_images == of_file, "the meshes differ");
+}
+
+#[test]
+fn images_in_the_place_of_a_recording_are_told_how_to_become_one() {
+    let bench = Workbench::with_frames(1);
+    for command in ["info", "verify", "repair"] {
+        let output = session(&[command, text(&bench.session())]);
+        assert_says(&output, 1, &["relief session import"]);
+    }
 }
 
 #[test]

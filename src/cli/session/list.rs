@@ -39,7 +39,11 @@ pub fn list(args: &ListArgs) -> anyhow::Result<Verdict> {
         }
     }
     if found.is_empty() {
-        writeln!(Stdout, "no recordings in {}", args.folder.display())?;
+        writeln!(
+            Stdout,
+            "no recordings in {}; folders of images and raw recordings are not listed",
+            args.folder.display()
+        )?;
     }
     Ok(Verdict::Done)
 }

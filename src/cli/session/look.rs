@@ -1,6 +1,6 @@
 //! `relief session info` and `verify`: looking at a recording without changing it.
 
-use super::{SessionArgs, list::state_name, megabytes};
+use super::{SessionArgs, list::state_name, megabytes, require_mcap};
 use crate::cli::{run::Verdict, stdout::Stdout};
 use depth_camera::CameraInfo;
 use mcap_session::{FileReport, SessionRecord, describe, files};
@@ -12,6 +12,7 @@ use std::{
 
 /// `relief session info`.
 pub fn info(args: &SessionArgs) -> anyhow::Result<Verdict> {
+    require_mcap(&args.session)?;
     let described = describe(&args.session)?;
     let record = SessionRecord::read(&args.session).ok();
     let files = files(&args.session)?;
@@ -91,6 +92,7 @@ fn camera(info: &CameraInfo) -> Value {
 
 /// `relief session verify`.
 pub fn verify(args: &SessionArgs) -> anyhow::Result<Verdict> {
+    require_mcap(&args.session)?;
     let reports = mcap_session::verify(&args.session)?;
     let is_whole = reports.iter().all(|report| report.problems.is_empty());
     if args.json {

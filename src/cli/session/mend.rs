@@ -1,6 +1,6 @@
 //! `relief session repair` and `rm`.
 
-use super::{RemoveArgs, RepairArgs};
+use super::{RemoveArgs, RepairArgs, require_mcap};
 use crate::cli::{run::Verdict, stdout::Stdout};
 use anyhow::ensure;
 use mcap_session::{RecordingError, RepairNote, Repaired, SESSION_FILE_NAME};
@@ -38,6 +38,7 @@ fn mend(folder: &Path) -> anyhow::Result<Vec<Repaired>> {
         let repaired = mcap_session::repair(folder)?;
         return Ok(vec![(folder.to_owned(), Ok(repaired))]);
     }
+    require_mcap(folder)?;
     let path = folder.display();
     ensure!(
         folder.is_dir(),
