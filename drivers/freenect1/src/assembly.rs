@@ -194,6 +194,11 @@ impl Default for Assembler {
 }
 
 impl Assembler {
+    /// The device was opened, perhaps anew.
+    pub fn device_opened(&mut self) {
+        self.clock.restart();
+    }
+
     /// Depth is about to be started.
     pub fn start_depth(&mut self, now: Instant, emit: impl FnMut(Captured)) {
         self.depth.start(PacketLayout::DEPTH, DEPTH_SIZE, now);

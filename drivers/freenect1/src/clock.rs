@@ -39,8 +39,13 @@ impl DeviceClock {
     /// An image cannot have been taken after it arrived, nor, but for the other stream's, before one that came earlier. Between the two
     /// its stamp is right, however late it comes.
     pub fn at(&mut self, ticks: u32, host: Instant) -> f64 {
-        let (Some(newest), Some(punctual)) = (self.newest, self.punctual) else {
-            return self.keep_punctual(ticks, host, i64::from(ticks));
+        let (newest, punctual) = match (self.newest, self.punctual) {
+            (None, _) => return self.keep_punctual(ticks, host, i64::from(ticks)),
+            (Some(newest), None) => {
+                let total = newest.total + ticks_between(newest.host, host);
+                return self.keep_punctual(ticks, host, total);
+            }
+            (Some(newest), Some(punctual)) => (newest, punctual),
         };
         let by_host = ticks_between(punctual.host, host);
         let by_ticks = i64::from(ticks.wrapping_sub(punctual.ticks));
@@ -53,6 +58,11 @@ impl DeviceClock {
             true => self.keep(ticks, host, total),
             false => self.keep_punctual(ticks, host, punctual.total + by_host),
         }
+    }
+
+    /// The device was opened anew, and its stamps begin anywhere: device time goes on by the host's clock.
+    pub fn restart(&mut self) {
+        self.punctual = None;
     }
 
     /// Device time at `host`, seconds, while stamps stand still.
@@ -110,6 +120,17 @@ mod tests {
             assert_close(clock.at(ticks, host) - first, frame as f64 / 30.0);
         }
         assert!(ticks < u32::MAX / 2);
+    }
+
+    #[test]
+    fn stamps_of_a_device_that_was_opened_anew_are_not_those_of_before() {
+        let start = Instant::now();
+        let mut clock = DeviceClock::default();
+        let first = clock.at(5_000_000, start);
+        clock.restart();
+        // Taken for the old clock's it would have been held back for a second.
+        let later = clock.at(5_000_000, start + Duration::from_millis(1100));
+        assert_close(later - first, 1.1);
     }
 
     #[test]

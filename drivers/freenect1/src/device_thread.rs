@@ -171,6 +171,7 @@ impl DeviceThread {
         let zero_plane = device.zero_plane();
         zero_plane.validate()?;
         self.set_ir_gain(&device, self.ir_gain.get())?;
+        self.assembler.borrow_mut().device_opened();
         self.apply(&device, self.streams.get())?;
         self.serial.replace(Some(serial.clone()));
         Ok((device, Identity { serial, zero_plane }))
