@@ -34,8 +34,9 @@ fn devices_that_come_and_go_are_told_of() {
 
 #[test]
 fn a_machine_on_which_nothing_happens_tells_nothing() {
-    // A container may allow no such sockets.
-    if let Ok(mut monitor) = UsbMonitor::open() {
-        assert!(monitor.next(Duration::from_millis(1)).is_ok());
-    }
+    let Ok(mut monitor) = UsbMonitor::open() else {
+        eprintln!("skipped: a container may allow no such sockets");
+        return;
+    };
+    assert_eq!(monitor.next(Duration::from_millis(1)).unwrap(), None);
 }

@@ -7,7 +7,7 @@ use crate::fusion::{
 };
 use crate::geometry::{CameraModel, Motion, Pose, increment, motion_between};
 use crate::shading::Calibration;
-use depth_camera::{DepthCamera, Sensor};
+use depth_camera::{DepthCamera, Frame, Sensor};
 use nalgebra::{Point3, Vector6};
 use simulated::{Infrared, Orbit, Scene, Setup, SimulatedCamera, Trajectory};
 use std::time::Duration;
@@ -69,17 +69,19 @@ fn fusion(camera: &SimulatedCamera, with_infrared: bool) -> Fusion {
     }
 }
 
-fn walk(mut camera: SimulatedCamera, with_infrared: bool) -> Walk {
-    let n_frames = camera.n_frames();
-    let mut fusion = fusion(&camera, with_infrared);
+/// What becomes of a camera's path by depth alone, and with its infrared images.
+fn walks(mut camera: SimulatedCamera) -> [Walk; 2] {
+    let frames = std::iter::from_fn(|| camera.grab(Duration::ZERO).expect("no errors"));
+    let frames: Vec<Frame> = frames.collect();
+    [false, true].map(|with_infrared| walk(&camera, &frames, with_infrared))
+}
+
+fn walk(camera: &SimulatedCamera, frames: &[Frame], with_infrared: bool) -> Walk {
+    let mut fusion = fusion(camera, with_infrared);
     let first = camera.true_world_from_camera(0).inverse();
     let (mut n_lost, mut fits, mut drift) = (0, Vec::new(), None);
     let mut worst_rad: f64 = 0.0;
-    for index in 0..n_frames {
-        let frame = camera
-            .grab(Duration::ZERO)
-            .expect("no errors")
-            .expect("more");
+    for (index, frame) in frames.iter().enumerate() {
         fusion.see(frame.ir.as_ref().expect("Kinect II"));
         let depth = frame.depth.as_ref().expect("Kinect II");
         match fusion.fuse(depth, frame.device_time_secs) {
@@ -106,8 +108,7 @@ fn walk(mut camera: SimulatedCamera, with_infrared: bool) -> Walk {
 
 #[test]
 fn a_printed_wall_is_tracked_by_its_print() {
-    let scene = || camera(Scene::printed_wall(), Point3::origin(), 24);
-    let (bare, held) = (walk(scene(), false), walk(scene(), true));
+    let [bare, held] = walks(camera(Scene::printed_wall(), Point3::origin(), 24));
     assert_eq!((held.n_lost, held.fits.len()), (0, 23));
     // The camera goes 17° and 120 mm; depth alone knows nothing of the part along the wall.
     assert!(bare.drift.translation_m > 0.03, "{:?}", bare.drift);
@@ -117,8 +118,7 @@ fn a_printed_wall_is_tracked_by_its_print() {
 
 #[test]
 fn where_the_geometry_holds_the_camera_no_bit_changes() {
-    let plaque = || SimulatedCamera::kinect2_plaque(16, 3);
-    let (bare, held) = (walk(plaque(), false), walk(plaque(), true));
+    let [bare, held] = walks(SimulatedCamera::kinect2_plaque(16, 3));
     assert_eq!(bare.fits.len(), 15);
     assert!(!bare.fits.iter().any(Fit::is_sliding));
     assert_eq!(bare.fits, held.fits);
@@ -127,9 +127,8 @@ fn where_the_geometry_holds_the_camera_no_bit_changes() {
 
 /// Goes 34° round a solid of revolution on a table, which depth alone lets turn under the camera, by `least_rad` on the way, while
 /// by its print no frame turns by more than `most_rad`: half as much again as was measured.
-fn check_round(scene: fn() -> Scene, middle_m: f64, least_rad: f64, most_rad: f64) {
-    let camera = || camera(scene(), Point3::new(0.0, 0.0, middle_m), 48);
-    let (bare, held) = (walk(camera(), false), walk(camera(), true));
+fn check_round(scene: Scene, middle_m: f64, least_rad: f64, most_rad: f64) {
+    let [bare, held] = walks(camera(scene, Point3::new(0.0, 0.0, middle_m), 48));
     assert_eq!((held.n_lost, held.fits.len()), (0, 47));
     assert!(bare.worst_rad > least_rad, "{}", bare.worst_rad);
     assert!(held.worst_rad < most_rad, "{}", held.worst_rad);
@@ -142,12 +141,12 @@ fn check_round(scene: fn() -> Scene, middle_m: f64, least_rad: f64, most_rad: f6
 
 #[test]
 fn a_printed_ball_on_a_table_is_tracked_by_its_print() {
-    check_round(Scene::printed_ball, 0.05, 0.5, 0.08);
+    check_round(Scene::printed_ball(), 0.05, 0.5, 0.08);
 }
 
 #[test]
 fn a_printed_cylinder_on_a_table_is_tracked_by_its_print() {
-    check_round(Scene::printed_cylinder, 0.1, 0.2, 0.14);
+    check_round(Scene::printed_cylinder(), 0.1, 0.2, 0.14);
 }
 
 /// A printed wall as the first of two frames showed it, and the second in hand.

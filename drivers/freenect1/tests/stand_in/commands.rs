@@ -1,6 +1,6 @@
 //! What the camera is told while it streams: other streams, another gain, to stop.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use depth_camera::{CameraError, DepthCamera};
 use freenect1::{
@@ -66,14 +66,16 @@ fn infrared_at_full_size_and_back() {
             let is_high = |frame: &freenect1::assembly::RawFrame| {
                 frame.ir.as_ref().is_some_and(|ir| ir.width() == 1280)
             };
-            let start = Instant::now();
-            next_that(&mut camera, is_high);
+            let begun = next_that(&mut camera, is_high).host_time;
+            let mut newest = begun;
             for _ in 0..5 {
                 let frame = next_whole(&mut camera);
                 assert_bit_exact(&frame);
                 assert!(is_high(&frame) && frame.disparity.is_none());
+                newest = frame.host_time;
             }
-            assert!(start.elapsed() > SECOND / 2, "it has 10 frames a second");
+            // However late the first came: the library's transfers hold less than a third of a frame.
+            assert!(newest - begun > SECOND / 3, "it has 10 frames a second");
             control.set_streams(Streams::DepthAndIr).unwrap();
             let both = next_pair(&mut camera);
             assert_bit_exact(&both);
@@ -156,15 +158,19 @@ fn a_slow_reader_gets_the_newest_frames() {
         &[""],
         |_| {
             let mut camera = Freenect1Camera::open(None, Settings::default()).unwrap();
+            let control = camera.control();
+            let n_overrun = || control.statistics().n_overrun;
             let first = next_whole(&mut camera);
-            std::thread::sleep(SECOND);
+            let enough = n_overrun() + 15;
+            let deadline = Instant::now() + 60 * SECOND;
+            while n_overrun() < enough {
+                assert!(Instant::now() < deadline, "frames wait for the reader");
+                std::thread::sleep(SECOND / 100);
+            }
             let next = next_whole(&mut camera);
-            let age = next.host_time.elapsed();
-            let n_overrun = camera.control().statistics().n_overrun;
-            eprintln!("{n_overrun} frames made room, the oldest left is {age:?} old");
-            assert!(age < Duration::from_millis(400), "{age:?}");
-            assert!(n_overrun >= 15 && next.frame_id > first.frame_id + 15);
-            assert!(camera.n_missed() >= n_overrun);
+            // Those that made room came after the first and before all that are left.
+            assert!(next.frame_id > first.frame_id + 15);
+            assert!(camera.n_missed() >= enough);
             assert_bit_exact(&next);
         },
     );

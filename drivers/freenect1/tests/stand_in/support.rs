@@ -10,7 +10,10 @@ use std::{
 };
 
 use depth_camera::{CameraError, DepthCamera, Frame};
-use freenect1::{Freenect1Camera, assembly::RawFrame};
+use freenect1::{
+    Freenect1Camera,
+    assembly::{RawFrame, Statistics},
+};
 
 /// Frames that a scenario plays over and over.
 pub const N_FRAMES: usize = 8;
@@ -158,17 +161,34 @@ fn first_that<T>(
     panic!("no such frame after {n_others} others");
 }
 
+/// Whether anything was lost for want of time, as is right on a machine that is too busy: the stand-in writes down the packets for
+/// which no transfer waited, and the camera counts the frames that nobody fetched.
+pub fn is_too_busy(root: &Path, statistics: &Statistics) -> bool {
+    let n_packets = trace(root)
+        .iter()
+        .filter(|line| line.starts_with("overrun"))
+        .count();
+    let is_too_busy = n_packets > 0 || statistics.n_overrun > 0;
+    if is_too_busy {
+        eprintln!("{n_packets} packets found no transfer: the machine is too busy");
+    }
+    is_too_busy
+}
+
+/// Longer than any failure takes to come, on a busy machine too.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// The first error that is not about a single frame, and how long it took to come.
-pub fn next_failure(camera: &mut Freenect1Camera, patience: Duration) -> (CameraError, Duration) {
+pub fn next_failure(camera: &mut Freenect1Camera) -> (CameraError, Duration) {
     let start = Instant::now();
-    while start.elapsed() < patience {
+    while start.elapsed() < PATIENCE {
         match camera.grab_raw(SECOND / 10) {
             Ok(_) => {}
             Err(error) if error.is_recoverable() => {}
             Err(error) => return (error, start.elapsed()),
         }
     }
-    panic!("no failure within {patience:?}");
+    panic!("no failure within {PATIENCE:?}");
 }
 
 /// A file of the first Kinect.

@@ -13,20 +13,18 @@ use mcap_session::{RecordingParams, SegmentWriter, SessionRecord, State, repair,
 
 use crate::support::{assert_as_recorded, camera_info, frame, play};
 
-/// Where the child records; without it there is no child.
+/// Where the killed process records: it runs the same test as the one that kills it, which is told of no folder.
 const FOLDER: &str = "MCAP_SESSION_CHILD_FOLDER";
 /// How many processes are killed; more by hand.
 const TRIALS: &str = "MCAP_SESSION_KILLS";
+/// How many are killed at a time: they sleep for most of their lives.
+const AT_A_TIME: usize = 4;
 const FRAME_PERIOD: Duration = Duration::from_micros(33_333);
 /// 300 ms: 8 frames wait for less than 250 ms, and the ninth is on its way when it hands them on.
 const MOST_LOST: u64 = 9;
 
-/// The process that is killed: records frames at the pace of a Kinect, telling of each before it is handed to the recorder.
-#[test]
-fn child_records_until_it_is_killed() {
-    let Some(folder) = std::env::var_os(FOLDER) else {
-        return;
-    };
+/// What the killed process does: records frames at the pace of a Kinect, telling of each before it is handed to the recorder.
+fn record_until_killed(folder: &Path) {
     let info = camera_info(256, 212);
     let params = RecordingParams {
         min_free_bytes: 0,
@@ -36,7 +34,7 @@ fn child_records_until_it_is_killed() {
     };
     let frames: Vec<_> = (0..90).map(|frame_id| frame(&info, frame_id)).collect();
     let start = Instant::now();
-    let mut writer = SegmentWriter::create(Path::new(&folder), &info, params).unwrap();
+    let mut writer = SegmentWriter::create(folder, &info, params).unwrap();
     for (frame, n) in frames.iter().zip(0..) {
         while start.elapsed() < FRAME_PERIOD * n {
             thread::sleep(Duration::from_millis(1));
@@ -53,7 +51,10 @@ fn kill_once(seed: u64) -> (u64, f64) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording");
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "kill::child_records_until_it_is_killed"])
+        .args([
+            "--exact",
+            "kill::a_killed_process_loses_its_last_moments_alone",
+        ])
         .args(["--nocapture", "--test-threads=1"])
         .env(FOLDER, &path)
         .stdout(Stdio::piped())
@@ -110,14 +111,20 @@ fn kill_once(seed: u64) -> (u64, f64) {
 
 #[test]
 fn a_killed_process_loses_its_last_moments_alone() {
-    let trials = std::env::var(TRIALS).map_or(20, |text| text.parse().unwrap());
-    let mut lost = Vec::new();
-    let mut secs = Vec::new();
-    for seed in 0..trials {
-        let (n, s) = kill_once(seed);
-        lost.push(n);
-        secs.push(s);
+    if let Some(folder) = std::env::var_os(FOLDER) {
+        return record_until_killed(Path::new(&folder));
     }
+    let trials: u64 = std::env::var(TRIALS).map_or(20, |text| text.parse().unwrap());
+    let killed: Vec<(u64, f64)> = thread::scope(|scope| {
+        let kill_some = |first: u64| {
+            let seeds = (first..trials).step_by(AT_A_TIME);
+            scope.spawn(move || seeds.map(kill_once).collect::<Vec<_>>())
+        };
+        let threads: Vec<_> = (0..AT_A_TIME as u64).map(kill_some).collect();
+        let killed = threads.into_iter().map(|thread| thread.join().unwrap());
+        killed.flatten().collect()
+    });
+    let (mut lost, mut secs): (Vec<u64>, Vec<f64>) = killed.into_iter().unzip();
     lost.sort_unstable();
     secs.sort_by(f64::total_cmp);
     let (p50, max) = (lost[lost.len() / 2], lost[lost.len() - 1]);
