@@ -97,6 +97,14 @@ impl DepthCorrection {
         self.multipath = Some(by);
     }
 
+    /// Forgets the scan so far: the next frame is the first again.
+    pub fn begin_anew(&mut self) {
+        self.predictions = Predictions::default();
+        if !self.is_measured {
+            self.live = None;
+        }
+    }
+
     /// Forgets the predictions of frames that fusion does not hold any more.
     pub fn thin_out(&mut self, fusion: &Fusion) {
         self.predictions.thin_out(fusion);

@@ -2,7 +2,7 @@
 //! may slide by centimetres along what is nearly flat. At the end the model is whole and the motion known, backwards from later frames.
 
 use super::relocalise::align_closely;
-use super::track::Track;
+use super::track::{STEADY_SECS, Track};
 use super::{Fit, Fusion, Keyframe, PoseCorrection, gates};
 use crate::geometry::{Motion, Pose, motion_between};
 use std::cmp::Ordering;
@@ -23,7 +23,11 @@ impl Fusion {
         let is_unbroken = frames
             .iter()
             .all(|frame| frame.stretch == frames[0].stretch);
-        if self.is_given || !is_unbroken {
+        // Where frames between them are not kept the motion is not known.
+        let is_steady = frames
+            .windows(2)
+            .all(|pair| pair[1].time_secs - pair[0].time_secs <= STEADY_SECS);
+        if self.is_given || !is_unbroken || !is_steady {
             return None;
         }
         let frames = frames.to_vec();
@@ -62,7 +66,8 @@ impl Fusion {
         let (pose, fit) = candidates.into_iter().flatten().min_by(better)?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
         let is_near = motion_between(tracked, &pose).is_within(&WORTH);
-        (!is_near).then_some(pose)
+        // Where the shape does not hold the camera, where it was tracked is known better.
+        (!is_near && !fit.is_sliding()).then_some(pose)
     }
 }
 

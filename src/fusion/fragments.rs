@@ -30,7 +30,7 @@ pub(super) struct Fragment {
     pub points: AlignedPoints,
 }
 
-/// Fragments of a scan at most, of 2 to 3 MB each; as long as tracking is broken less often.
+/// Fragments of an unbroken scan at most, of 2 to 3 MB each; one more for each time that tracking was broken.
 const MAX_FRAGMENTS: usize = 200;
 /// Where there would be more, each reaches so many times as far, and so on.
 const LONGER: f64 = 1.5;
@@ -44,7 +44,7 @@ pub(super) fn cut(frames: &[Keyframe], params: &LoopClosingParams) -> Vec<Range<
         let n_breaks = frames
             .windows(2)
             .filter(|pair| pair[0].stretch != pair[1].stretch);
-        if cuts.len() <= MAX_FRAGMENTS.max(n_breaks.count() + 1) {
+        if cuts.len() <= MAX_FRAGMENTS + n_breaks.count() {
             return cuts;
         }
         params.fragment_rotation_rad *= LONGER;
@@ -154,5 +154,6 @@ mod tests {
         let is_joined = many.windows(2).all(|pair| pair[0].end == pair[1].start);
         assert!(is_joined && many[0].start == 0 && many[many.len() - 1].end == 6000);
         assert_eq!(cut(1200, 4).len(), 300, "broken more often than that");
+        assert_eq!(cut(1520, 8).len(), 380, "190 stretches of two each");
     }
 }

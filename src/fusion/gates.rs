@@ -2,6 +2,7 @@
 
 use super::noise::DepthNoise;
 use super::pyramid::FramePyramid;
+use super::track::LEAST_INTERVAL_SECS;
 use super::{Fit, FusionParams, LossReason};
 use crate::geometry::Motion;
 
@@ -70,7 +71,7 @@ pub(super) fn judge_motion(
     elapsed_secs: f64,
     params: &FusionParams,
 ) -> Result<(), LossReason> {
-    let elapsed = elapsed_secs.max(1.0 / 60.0);
+    let elapsed = elapsed_secs.max(LEAST_INTERVAL_SECS);
     let is_within = |motion: &Motion, factor: f64| {
         motion.rotation_rad <= factor * params.max_rotation_rad_per_s * elapsed
             && motion.translation_m <= factor * params.max_speed_m_per_s * elapsed

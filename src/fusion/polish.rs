@@ -225,6 +225,10 @@ impl Fusion {
             on_step,
         )
         .ok_or(nothing)?;
+        // Where the shape does not hold the camera, what it starts from is known better: images may have held it there.
+        if fit.is_sliding() {
+            return Ok((*start, fit));
+        }
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params)?;
         let motion = motion_between(given, &pose);
         let bound = reach.unwrap_or_else(|| params.polish.reach());

@@ -9,6 +9,9 @@ pub const STEADY_SECS: f64 = 0.12;
 /// to and fro in about a second.
 pub const MAX_PREDICTION_SECS: f64 = 0.4;
 
+/// Frames that claim to be closer in time than this are dated by their arrival: no sensor is faster.
+pub const LEAST_INTERVAL_SECS: f64 = 1.0 / 60.0;
+
 /// The camera's recent motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Track {
@@ -69,7 +72,7 @@ impl Track {
         let elapsed = time_secs - self.time_secs;
         let (velocity, last_step) = if has_moved && elapsed > 0.0 && elapsed < MAX_PREDICTION_SECS {
             let step = increment_of(&(self.world_from_camera.inverse() * world_from_camera));
-            (step / elapsed, step)
+            (step / elapsed.max(LEAST_INTERVAL_SECS), step)
         } else {
             (Vector6::zeros(), self.last_step)
         };

@@ -174,6 +174,7 @@ impl FusionStage {
 
     fn reset(&mut self) {
         if self.forget_after(f64::NEG_INFINITY).is_some() {
+            self.correction.begin_anew();
             self.of_frames = State::Warming;
             self.tell_at(None, EventKind::Reset);
         }
