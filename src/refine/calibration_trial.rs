@@ -19,6 +19,7 @@ use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::shading::Gloss;
 use crate::snapshot::ShadingSnapshot;
 
 /// The calibration that is found has to leave no more than this share of the slow gain that is left by what is believed. A gamma that
@@ -64,8 +65,7 @@ impl CalibrationTrial<'_> {
         let Some(Contradiction { calibration, .. }) = &told.contradiction else {
             return (told, views);
         };
-        let gloss = SiteGloss::uniform(told.gloss);
-        let believed = self.slow_gain(level, &views, &gloss);
+        let believed = self.slow_gain(level, &views, told.gloss);
         // Both sets of views are large.
         views.clear();
         let relit = Subject {
@@ -73,7 +73,7 @@ impl CalibrationTrial<'_> {
             ..*self.subject
         };
         views = views_of(&relit, self.params);
-        let found = self.slow_gain(level, &views, &gloss);
+        let found = self.slow_gain(level, &views, told.gloss);
         tracing::info!(believed, found, "slow gain by either calibration");
         let is_better = believed.zip(found);
         if is_better.is_some_and(|(believed, found)| found < MAX_LEFT_SHARE * believed) {
@@ -98,14 +98,16 @@ impl CalibrationTrial<'_> {
     }
 
     /// Of the views that judge, on the albedo that the others tell; `None` where either see nothing.
-    fn slow_gain(&self, level: &Level, views: &[View], gloss: &SiteGloss) -> Option<f64> {
+    fn slow_gain(&self, level: &Level, views: &[View], gloss: Gloss) -> Option<f64> {
         let judges = hold_out(self.asked);
         let (params, mesh) = (self.params, &level.mesh);
         let rounds = Rounds { params, level };
         let sites = Sites::new(params.sites, mesh, views, self.asked & !judges);
-        let sites = sites.with_gloss(gloss.clone());
+        let sites = sites.with_gloss(SiteGloss::uniform(gloss));
         let surface = Surface::of_base(mesh);
-        let albedo = rounds.first_albedo(&surface, &sites, views)?;
+        let mut albedo = rounds.first_albedo(&surface, &sites, views)?;
+        // The views that judge see the highlights that the albedo was told by, too.
+        albedo.gloss = vec![gloss; albedo.groups.len()];
         slow_gain(&rounds, mesh, &albedo, views, judges)
     }
 }

@@ -188,10 +188,11 @@ impl Problem<'_> {
         let seen = self.observations.of(index);
         let moved_m = self.observations.moved_m(surface, index);
         shown.clear();
-        shown.extend(
-            seen.iter()
-                .filter_map(|seen| seen.moved(moved_m).shown(&normal)),
-        );
+        // A view that a step turns the site away from does not cease to count: it shows what unlit surface would not.
+        shown.extend(seen.iter().map(|seen| {
+            let seen = seen.moved(moved_m);
+            seen.shown(&normal).unwrap_or_else(|| seen.unlit())
+        }));
         let (group, start) = (albedos[self.labels[index] as usize], self.tints[index]);
         let tint = match self.finds_tints {
             true => Tint::best(seen, shown, group, self.loss, start),

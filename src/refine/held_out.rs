@@ -74,7 +74,8 @@ impl Judgement {
     /// Whether the base surface explains them better, in intensity or in its gradient.
     pub fn prefers_base(&self) -> bool {
         let HeldOut { base, refined, .. } = &self.overall;
-        refined.intensity > base.intensity || refined.gradient > base.gradient
+        // What is no number confirms nothing.
+        !(refined.intensity <= base.intensity && refined.gradient <= base.gradient)
     }
 }
 

@@ -257,9 +257,14 @@ pub fn dominant_plane(mesh: &TriMesh) -> Option<Plane> {
             .map(|face| face.2)
             .sum()
     };
+    // A stride that shares no factor with the count visits faces all over the mesh.
+    let stride = if faces.len().is_multiple_of(7919) {
+        7907
+    } else {
+        7919
+    };
     let candidates = (0..N_TRIALS.min(faces.len())).map(|trial| {
-        // A stride that shares no factor with most counts visits faces all over the mesh.
-        let (point, normal, _) = &faces[(trial * 7919) % faces.len()];
+        let (point, normal, _) = &faces[(trial * stride) % faces.len()];
         Plane::through(point, *normal)
     });
     let candidates: Vec<Plane> = candidates.collect();

@@ -130,6 +130,15 @@ impl Moved<'_> {
         })
     }
 
+    /// The same where the light does not reach the site.
+    pub fn unlit(&self) -> Shown {
+        Shown {
+            observed: self.observed(),
+            unit: 0.0,
+            covered: f64::from(self.seen.covered),
+        }
+    }
+
     /// As of [`Observation::residual`].
     #[inline]
     pub fn residual(&self, normal: &Vector3<f64>, albedo: f64) -> Option<f64> {

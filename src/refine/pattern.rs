@@ -46,8 +46,14 @@ impl Pattern {
             off_diagonal,
             ..
         } = matrix;
-        let factor = self.analysis.factorise(diagonal, off_diagonal)?;
-        Some(factor.inverse_diagonal())
+        /// Single precision resolves no less of a diagonal.
+        const RIDGE: f64 = 1e-6;
+        let factor = self.analysis.factorise(diagonal, off_diagonal);
+        let factor = factor.or_else(|| {
+            let ridged: Vec<f64> = diagonal.iter().map(|d| d * (1.0 + RIDGE)).collect();
+            self.analysis.factorise(&ridged, off_diagonal)
+        });
+        Some(factor?.inverse_diagonal())
     }
 
     /// Solves `(H + damping · diag H) x = −gradient` for displacements and the groups' albedos together: these are few, and
