@@ -2,7 +2,7 @@
 
 use crate::{
     raw_kinect1::offset_kinect1,
-    support::{PROGRAM, Workbench, assert_says, record},
+    support::{PROGRAM, Workbench, assert_says, demo, record},
 };
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{Isometry3, Point3, Vector3, center};
@@ -82,8 +82,7 @@ fn a_session_without_silhouettes_is_refused() {
 #[test]
 fn the_offset_of_a_kinect2_is_known_and_not_written() {
     let folder = tempfile::tempdir().unwrap();
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
-    let output = measure(&demo, folder.path(), &[]);
+    let output = measure(&demo(), folder.path(), &[]);
     assert_says(&output, 0, &[]);
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(said.contains("nothing is written"), "{said}");

@@ -2,27 +2,17 @@
 
 use crate::{
     daemon_process::{Daemon, refused},
-    http_client::{Answer, Client, Message},
+    http_client::{Client, Message, Socket},
     support::{PROGRAM, Workbench, assert_says, poll, prolong},
 };
 use serde_json::{Value, json};
 use std::{
+    collections::BTreeSet,
     fs::{self, File},
-    io::Read,
     os::unix::fs::symlink,
     path::{Path, PathBuf},
     process::Command,
 };
-
-fn assert_mesh(answer: &Answer) {
-    assert_eq!(answer.status, 200);
-    assert_eq!(answer.body[..4], *b"RLM1");
-    let number = |at: usize| u32::from_le_bytes(answer.body[at..at + 4].try_into().unwrap());
-    let (n_vertices, n_faces) = (number(8) as usize, number(12) as usize);
-    assert!(n_faces > 100, "{n_faces} faces");
-    let expected = (16 + 17 * n_vertices).next_multiple_of(4) + 12 * n_faces;
-    assert_eq!(answer.body.len(), expected);
-}
 
 fn assert_accounted(status: &Value) {
     let frames = status["frames"].as_object().unwrap();
@@ -121,16 +111,14 @@ fn look_at_files(client: Client, id: &str) {
         let answer = client.get(&format!("/api/v1/sessions/{id}/files/{name}"));
         answer.assert_problem(404, "not_found");
     }
-    let mesh = client.get(&format!("/api/v1/sessions/{id}/mesh?which=base"));
-    assert_eq!(mesh.status, 302);
-    let place = mesh.header("location").unwrap();
-    let mesh = client.get(place);
-    assert_mesh(&mesh);
+    let place = client.mesh_of(id, "base");
+    let mesh = client.get(&place);
+    mesh.assert_mesh();
     assert!(mesh.header("cache-control").unwrap().contains("immutable"));
     let tag = mesh.header("etag").unwrap();
     assert_eq!(
         client
-            .ask("GET", place, &[("If-None-Match", tag)], b"")
+            .ask("GET", &place, &[("If-None-Match", tag)], b"")
             .status,
         304
     );
@@ -208,7 +196,7 @@ fn what_is_seen_of_a_scan_is_newest_and_complete() {
         // The first is made before any surface is believed, and has nothing but a head.
         (answer.status == 200 && answer.body.len() > 16).then_some(answer)
     });
-    assert_mesh(&mesh);
+    mesh.assert_mesh();
     assert!(mesh.header("x-mesh-revision").is_some());
     client
         .get("/api/v1/scan/mesh?lod=tiny")
@@ -236,6 +224,19 @@ fn what_is_seen_of_a_scan_is_newest_and_complete() {
     assert!(told.is_some());
 }
 
+/// The frames of the depth images that a socket brings, up to one at least so late.
+fn frames_shown(socket: &mut Socket, last: u32) -> Vec<u32> {
+    let mut frames: Vec<u32> = Vec::new();
+    while frames.last().is_none_or(|&frame| frame < last) {
+        if let Message::Binary(bytes) = socket.hear().expect("a message")
+            && bytes[0] == 1
+        {
+            frames.push(u32::from_le_bytes(bytes[4..8].try_into().unwrap()));
+        }
+    }
+    frames
+}
+
 #[test]
 fn a_slow_reader_holds_up_nobody() {
     let daemon = Daemon::start(&[]);
@@ -251,6 +252,9 @@ fn a_slow_reader_holds_up_nobody() {
     });
     assert_accounted(&status);
     assert_eq!(status["daemon"]["clients"], 8);
+    let frames = frames_shown(&mut deaf[0], 100);
+    assert!(frames.is_sorted_by(|one, next| one < next), "{frames:?}");
+    assert!(frames.len() < 100, "nothing was skipped");
     deaf.truncate(4);
     daemon.await_status("clients that left", |status| {
         status["daemon"]["clients"] == 4
@@ -334,58 +338,48 @@ fn what_makes_no_sense_is_refused_with_a_code() {
     assert_eq!(client.status()["state"], "idle");
 }
 
-#[test]
-fn commands_and_connections_are_rationed() {
-    let daemon = Daemon::start(&[]);
-    let client = daemon.client;
-    let answers: Vec<u16> = (0..100)
-        .map(|_| client.post("/api/v1/scan/pause", "").status)
-        .collect();
-    assert!(
-        answers.contains(&409) && answers.contains(&429),
-        "{answers:?}"
-    );
-
-    let idle: Vec<_> = (0..64).map(|_| client.connect()).collect();
-    let mut refused = String::new();
-    client.connect().read_to_string(&mut refused).unwrap();
-    assert!(refused.starts_with("HTTP/1.1 503"), "{refused}");
-    drop(idle);
-    poll("a place", || {
-        let mut stream = client.connect();
-        std::io::Write::write_all(
-            &mut stream,
-            b"GET /healthz HTTP/1.0\r\nHost: localhost\r\n\r\n",
-        )
-        .ok()?;
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).ok()?;
-        answer.starts_with("HTTP/1.0 200").then_some(())
-    });
+/// Methods and paths in the first column of the table of `docs/api.md`, where a row may give the beginning of a path once.
+fn documented_routes() -> BTreeSet<(String, String)> {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/api.md");
+    let page = fs::read_to_string(page).unwrap();
+    let (_, table) = page.split_once("## Routes\n").unwrap();
+    let (table, _) = table.split_once("\n## ").unwrap();
+    let mut routes = BTreeSet::new();
+    for row in table.lines().filter_map(|line| line.strip_prefix("| `")) {
+        let (named, _) = row.split_once("` | ").unwrap();
+        let (mut method, mut path) = (String::new(), String::new());
+        let pieces = named.split('`').step_by(2);
+        for piece in pieces.filter(|piece| !piece.starts_with('{')) {
+            match piece.split_once(' ') {
+                Some((verb, whole)) => {
+                    method = verb.to_lowercase();
+                    path = whole.to_owned();
+                }
+                None if piece.starts_with('/') => path = format!("/api/v1{piece}"),
+                None => {
+                    let (beginning, _) = path.rsplit_once('/').unwrap();
+                    path = format!("{beginning}/{piece}");
+                }
+            }
+            let path = path.split('?').next().unwrap();
+            routes.insert((method.clone(), path.to_owned()));
+        }
+    }
+    routes
 }
 
 #[test]
-fn every_route_is_in_the_document() {
+fn every_route_is_described_and_documented() {
     let daemon = Daemon::start(&[]);
     let document = daemon.client.get("/api/v1/openapi.json").json();
     assert!(document["openapi"].as_str().unwrap().starts_with("3.1"));
-    let paths = document["paths"].as_object().unwrap();
-    for (method, path) in [
-        ("get", "/api/v1/status"),
-        ("get", "/api/v1/events"),
-        ("get", "/api/v1/ws"),
-        ("post", "/api/v1/scan"),
-        ("post", "/api/v1/scan/undo"),
-        ("get", "/api/v1/scan/mesh"),
-        ("get", "/api/v1/meshes/{sha256}"),
-        ("delete", "/api/v1/sessions/{id}"),
-        ("get", "/api/v1/sessions/{id}/files/{name}"),
-        ("post", "/api/v1/jobs/{id}/cancel"),
-        ("post", "/api/v1/config/reload"),
-        ("get", "/metrics"),
-    ] {
-        assert!(paths[path][method].is_object(), "{method} {path}");
+    let mut described = BTreeSet::new();
+    for (path, methods) in document["paths"].as_object().unwrap() {
+        for method in methods.as_object().unwrap().keys() {
+            described.insert((method.clone(), path.clone()));
+        }
     }
+    assert_eq!(described, documented_routes());
     let metrics = daemon.client.get("/metrics");
     let metrics = String::from_utf8(metrics.body).unwrap();
     for line in [
@@ -409,7 +403,7 @@ fn every_route_is_in_the_document() {
 type Bring = fn(&Daemon);
 
 #[test]
-fn a_signal_finishes_the_scan_and_ends_the_daemon_in_every_state() {
+fn a_signal_finishes_what_is_scanned_paused_or_ending_and_ends_the_daemon() {
     let bring_into: [(&str, Bring); 4] = [
         ("idle", |_| ()),
         ("tracking", |daemon| drop(daemon.scan())),

@@ -1,6 +1,8 @@
 //! What of a scan is delivered: the object alone, closed, and with its poses put right.
 
-use crate::support::{PROGRAM, Workbench, assert_says, record, small_camera, summary};
+use crate::support::{
+    PROGRAM, Workbench, assert_says, demo, fuse, fused_demo, record, small_camera, summary,
+};
 use relief::{export::read_ply, geometry::EdgeAdjacency};
 use std::{
     fs,
@@ -22,19 +24,6 @@ fn a_closed_part_of_the_scene_is_delivered_on_request() {
     assert!(EdgeAdjacency::new(&base).n_faces.iter().all(|&n| n == 2));
     let within = |p: &nalgebra::Point3<f64>| p.x.abs() < 0.31 && p.y.abs() < 0.31 && p.z < 0.91;
     assert!(base.faces.len() > 1000 && base.vertices.iter().all(within));
-}
-
-fn replayed_demo(scan: &Path, more: &[&str]) {
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
-    let fixed = [demo.to_str().unwrap(), "--out", scan.to_str().unwrap()];
-    let output = Command::new(PROGRAM)
-        .arg("replay")
-        .args(fixed)
-        .arg("--no-refine")
-        .args(more)
-        .output()
-        .unwrap();
-    assert_says(&output, 0, &[]);
 }
 
 /// What a scan is refined into.
@@ -59,8 +48,8 @@ fn what_is_refined_does_not_depend_on_what_was_delivered() {
     let config = workbench.write("crop.toml", "[object]\ncrop = \"object\"\n");
     let config = ["--config", config.to_str().unwrap()];
     let [whole, part] = ["whole", "part"].map(|name| workbench.path(name));
-    replayed_demo(&whole, &[]);
-    replayed_demo(&part, &["--crop", "object", "--watertight"]);
+    fused_demo(&whole);
+    fuse(&demo(), &part, &["--crop", "object", "--watertight"]);
     assert!(part.join("scene.ply").exists() && !whole.join("scene.ply").exists());
     let of_whole = refined(&whole, &config);
     assert!(fs::read(&of_whole).unwrap() == fs::read(refined(&part, &config)).unwrap());
@@ -74,7 +63,7 @@ fn what_is_refined_does_not_depend_on_what_was_delivered() {
     let [x, y, z] = least;
     let crop = format!("box={x},{y},{z},{middle},{},{}", most[1], most[2]);
     let half = workbench.path("half");
-    replayed_demo(&half, &["--crop", &crop]);
+    fuse(&demo(), &half, &["--crop", &crop]);
     let half = read_ply(&refined(&half, &[])).unwrap();
     assert!(half.faces.len() > 1000);
     assert!(half.vertices.iter().all(|vertex| vertex.x < middle + 0.005));

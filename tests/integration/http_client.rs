@@ -1,5 +1,6 @@
 //! A small client of the daemon: plain HTTP/1.1, events and WebSocket over a socket, nothing that hides a mistake.
 
+use crate::support::poll;
 use serde_json::Value;
 use std::{
     io::{BufRead, BufReader, Read, Write},
@@ -31,6 +32,17 @@ impl Answer {
     pub fn json(&self) -> Value {
         let text = String::from_utf8_lossy(&self.body);
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
+    }
+
+    /// Asserts a mesh with a surface, in the daemon's own layout.
+    pub fn assert_mesh(&self) {
+        assert_eq!(self.status, 200);
+        assert_eq!(self.body[..4], *b"RLM1");
+        let number = |at: usize| u32::from_le_bytes(self.body[at..at + 4].try_into().unwrap());
+        let (n_vertices, n_faces) = (number(8) as usize, number(12) as usize);
+        assert!(n_faces > 100, "{n_faces} faces");
+        let expected = (16 + 17 * n_vertices).next_multiple_of(4) + 12 * n_faces;
+        assert_eq!(self.body.len(), expected);
     }
 
     /// Asserts a refusal.
@@ -90,6 +102,18 @@ impl Client {
         let answer = self.get("/api/v1/status");
         assert_eq!(answer.status, 200);
         answer.json()
+    }
+
+    /// The address of a mesh of a scan that has ended.
+    pub fn mesh_of(self, id: &str, which: &str) -> String {
+        let path = format!("/api/v1/sessions/{id}/mesh?which={which}");
+        // It is made of what others leave of the processors.
+        let made = poll("the mesh", || {
+            let answer = self.get(&path);
+            (answer.status != 408).then_some(answer)
+        });
+        assert_eq!(made.status, 302);
+        made.header("location").unwrap().to_owned()
     }
 
     /// Opens a WebSocket, or says with which status that was refused.

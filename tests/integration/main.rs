@@ -8,6 +8,7 @@ mod end_to_end;
 mod bad_input;
 mod bench;
 mod calibrate;
+mod commands;
 mod delivery;
 mod devices;
 mod live;
@@ -22,6 +23,8 @@ mod signals;
 mod worker;
 
 mod daemon;
+mod daemon_limits;
+mod daemon_refined;
 mod daemon_tls;
 
 mod daemon_process;

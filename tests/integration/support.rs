@@ -10,6 +10,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
+    sync::OnceLock,
     thread,
     time::{Duration, Instant},
 };
@@ -112,6 +113,76 @@ pub fn prolong(session: &Path) {
         }
         fs::write(path, longer).unwrap();
     }
+}
+
+/// The recording that comes with the source.
+pub fn demo() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo")
+}
+
+/// A configuration by which the demo becomes a refined mesh within seconds, also where the processors are busy.
+pub const COARSE: &str = "\
+[multipath]
+enabled = false
+[fusion]
+voxel_size_m = 0.006
+[snapshot]
+max_snapshots = 6
+[refine]
+edge_length_m = 0.006
+n_rounds = 1
+max_steps = 1
+[worker]
+turns = \"shared\"
+nice = 0
+";
+
+/// Fuses a session into a folder and does not refine it. Multipath stays in, since most of the time would go into taking it off.
+pub fn fuse(session: &Path, out: &Path, arguments: &[&str]) {
+    let output = Command::new(PROGRAM)
+        .arg("replay")
+        .arg(session)
+        .arg("--out")
+        .arg(out)
+        .args(["--no-refine", "--json"])
+        .args(arguments)
+        .env("RELIEF_MULTIPATH__ENABLED", "false")
+        .output()
+        .unwrap();
+    assert_says(&output, 0, &[]);
+}
+
+/// Puts the fused demo into a folder: it is fused once for all tests, and each may spoil its own files.
+pub fn fused_demo(scan: &Path) {
+    static FUSED: OnceLock<Vec<(PathBuf, Vec<u8>)>> = OnceLock::new();
+    let files = FUSED.get_or_init(|| {
+        let root = tempfile::tempdir().unwrap();
+        let out = root.path().join("demo");
+        fuse(&demo(), &out, &[]);
+        read_beneath(&out)
+    });
+    for (name, bytes) in files {
+        let path = scan.join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+}
+
+/// The files of a folder and of those in it, by their paths there.
+fn read_beneath(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = Vec::new();
+    let mut folders = vec![PathBuf::new()];
+    while let Some(inner) = folders.pop() {
+        for entry in fs::read_dir(folder.join(&inner)).unwrap() {
+            let name = inner.join(entry.unwrap().file_name());
+            let path = folder.join(&name);
+            match path.is_dir() {
+                true => folders.push(name),
+                false => files.push((name, fs::read(path).unwrap())),
+            }
+        }
+    }
+    files
 }
 
 /// Generous: a busy machine is no fault.

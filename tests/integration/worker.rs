@@ -1,6 +1,6 @@
 //! The refinement worker with the real program as its child.
 
-use crate::support::{PROGRAM, assert_says, poll};
+use crate::support::{PROGRAM, assert_says, fused_demo, poll};
 use relief::{
     config::Config,
     export::read_ply,
@@ -15,37 +15,34 @@ use std::{
 };
 
 /// A data directory with the demo, fused.
-fn fused_demo() -> (tempfile::TempDir, PathBuf) {
+fn data_with_demo() -> (tempfile::TempDir, PathBuf) {
     let root = tempfile::tempdir().unwrap();
     let scan = root.path().join("sessions/demo");
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/demo");
-    let output = Command::new(PROGRAM)
-        .arg("replay")
-        .arg(demo)
-        .arg("--out")
-        .arg(&scan)
-        .args(["--no-refine", "--json"])
-        .output()
-        .unwrap();
-    assert!(output.status.success());
+    fused_demo(&scan);
     (root, scan)
 }
 
-/// Fewer rounds on a coarser mesh than by default: what is tested is the worker.
-fn settings() -> String {
+/// A coarser mesh than by default, since what is tested is the worker, metres.
+const COARSE_EDGE_M: f64 = 0.002;
+
+/// A mesh that no machine refines within a second of its processor, metres.
+const FINE_EDGE_M: f64 = 0.0005;
+
+/// Fewer rounds than by default.
+fn settings(edge_length_m: f64) -> String {
     let mut config = Config::default();
-    config.refine.edge_length_m = 0.002;
+    config.refine.edge_length_m = edge_length_m;
     config.refine.n_rounds = 2;
     toml::to_string(&config).unwrap()
 }
 
-fn worker(data_dir: &Path, params: WorkerParams) -> WorkerHandle {
+fn worker(data_dir: &Path, params: WorkerParams, edge_length_m: f64) -> WorkerHandle {
     Worker::spawn(WorkerSetup {
         data_dir: data_dir.to_owned(),
         program: PROGRAM.into(),
         calibration_dir: data_dir.join("calibration"),
         params,
-        settings: settings(),
+        settings: settings(edge_length_m),
     })
     .unwrap()
 }
@@ -88,7 +85,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 #[test]
 fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
-    let (root, scan) = fused_demo();
+    let (root, scan) = data_with_demo();
     let before = files(&scan);
     let images = files(&scan.join("snapshots/000"));
     // Nicer, it would not get on where other tests keep the processors busy.
@@ -97,7 +94,7 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
         nice: 3,
         ..WorkerParams::default()
     };
-    let worker = worker(root.path(), params);
+    let worker = worker(root.path(), params, COARSE_EDGE_M);
     let job = worker.submit(&scan).unwrap();
     let step = |step: usize| {
         let progress = worker.status().running?.progress?;
@@ -175,15 +172,24 @@ fn a_child_that_needs_more_than_it_may_have_fails_and_says_so() {
         max_retries: 0,
         ..WorkerParams::default()
     };
-    for (params, reason) in [
-        (memory, "SIGABRT, as where memory is used up: "),
-        (processor, "SIGXCPU: its processor time is used up"),
+    for (params, edge_length_m, reason) in [
+        (
+            memory,
+            COARSE_EDGE_M,
+            "SIGABRT, as where memory is used up: ",
+        ),
+        (
+            processor,
+            FINE_EDGE_M,
+            "SIGXCPU: its processor time is used up",
+        ),
     ] {
-        let (root, scan) = fused_demo();
+        let (root, scan) = data_with_demo();
         let before = files(&scan);
         let n_attempts = params.max_retries as usize + 1;
         let turns = Turns::Shared;
-        let worker = worker(root.path(), WorkerParams { turns, ..params });
+        let params = WorkerParams { turns, ..params };
+        let worker = worker(root.path(), params, edge_length_m);
         worker.submit(&scan).unwrap();
         let ended = poll("the end", || {
             let job = worker.of_scan("demo")?;
@@ -206,7 +212,7 @@ fn a_child_takes_the_settings_of_its_job_and_nothing_of_the_machine() {
     fs::create_dir_all(&etc).unwrap();
     fs::write(etc.join("relief.toml"), "half = ").unwrap();
     let own = root.path().join("settings.toml");
-    fs::write(&own, settings()).unwrap();
+    fs::write(&own, settings(COARSE_EDGE_M)).unwrap();
     let refine = |more: &[&str]| {
         Command::new(PROGRAM)
             .args(["refine", "no-such-scan", "--out", "no-such-folder"])

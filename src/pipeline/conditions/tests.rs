@@ -92,21 +92,25 @@ fn speed_is_told_before_the_loss_that_it_leads_to() {
 
 #[test]
 fn every_loss_has_its_reason() {
-    let reasons = [
-        (
-            LossReason::Jump {
-                rotation_rad: 1.0,
-                translation_m: 0.0,
-            },
-            Loss::TooFast,
-        ),
-        (LossReason::FlatScene { conditioning: 0.0 }, Loss::FlatScene),
-        (LossReason::Elsewhere, Loss::Elsewhere),
-        (LossReason::LargeResidual { rmse_m: 0.1 }, Loss::FewInliers),
-    ];
-    for (reason, loss) in reasons {
+    let jump = LossReason::Jump {
+        rotation_rad: 1.0,
+        translation_m: 0.0,
+    };
+    let few = LossReason::FewInliers { inlier_share: 0.1 };
+    let flat = LossReason::FlatScene { conditioning: 0.0 };
+    let large = LossReason::LargeResidual { rmse_m: 0.1 };
+    let see_through = LossReason::SeeThrough { share: 0.4 };
+    for (reason, told) in [
+        (jump, State::Lost(Loss::TooFast)),
+        (few, State::Lost(Loss::FewInliers)),
+        (flat, State::Lost(Loss::FlatScene)),
+        (large, State::Lost(Loss::FewInliers)),
+        (see_through, State::Lost(Loss::Elsewhere)),
+        (LossReason::Elsewhere, State::Lost(Loss::Elsewhere)),
+        (LossReason::Unconfirmed, State::Relocalising),
+    ] {
         let state = conditions().observe(&frame(0.0, &TrackingOutcome::Lost(reason)));
-        assert_eq!(state, State::Lost(loss));
+        assert_eq!(state, told, "{reason:?}");
     }
 }
 

@@ -129,7 +129,8 @@ fn images_are_asked_for_the_calibration_where_there_are_some_and_the_scan_is_not
     let self_calibration = SelfCalibration {
         info: info.clone(),
         calibration: Calibration::shipped_for(&info).unwrap(),
-        roi: None,
+        // Nothing lies in it: that it was looked for is all that is asked.
+        roi: Some(Roi::of_bounds([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]).unwrap()),
         crop: Crop::None,
         refine: RefineParams::default(),
     };
@@ -154,6 +155,9 @@ fn images_are_asked_for_the_calibration_where_there_are_some_and_the_scan_is_not
     stage.stop.stop();
     stage.recalibrate(Some(&selection));
     assert_eq!(stage.revision_clock.timing(), None);
+    stage.stop = StopToken::default();
+    stage.recalibrate(Some(&selection));
+    assert!(stage.revision_clock.timing().is_some());
 }
 
 #[test]

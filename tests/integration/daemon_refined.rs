@@ -1,0 +1,121 @@
+//! What a scan of the daemon comes to: a refined mesh, whatever was asked of it on the way, or the recorded frames alone.
+
+use crate::{
+    daemon_process::Daemon,
+    http_client::Client,
+    support::{PROGRAM, Workbench, assert_says, demo, poll},
+};
+use serde_json::{Value, json};
+use std::{fs, os::unix::fs::symlink, path::Path, process::Command};
+
+/// As fine as it takes for a refined surface to be believed.
+const FAIR: &str = "\
+[multipath]
+enabled = false
+[refine]
+edge_length_m = 0.003
+[worker]
+turns = \"shared\"
+nice = 0
+";
+
+/// Asks something of the scan, again while nothing is fused that it could be done with.
+fn ask(client: Client, what: &str, body: &str) {
+    let path = format!("/api/v1/scan/{what}");
+    poll(what, || {
+        let asked = client.post(&path, body);
+        (asked.status == 202).then_some(())
+    });
+}
+
+/// Waits until the scan has told of an event.
+fn await_event(scan: &Path, event: &str) {
+    let told = format!("\"event\":\"{event}\"");
+    poll(event, || {
+        let events = fs::read_to_string(scan.join("events.jsonl")).ok()?;
+        events.contains(&told).then_some(())
+    });
+}
+
+/// Waits for the name under which a scan that goes on is refined.
+fn interim_of(client: Client, id: &str) -> String {
+    poll("the scan so far", || {
+        let sessions = client.get("/api/v1/sessions").json();
+        let mut sessions = sessions.as_array().unwrap().iter();
+        let interim = sessions.find(|session| session["interim_of"] == id)?;
+        Some(interim["id"].as_str().unwrap().to_owned())
+    })
+}
+
+/// Waits until a scan is refined.
+fn await_refined(client: Client, id: &str) {
+    poll("the refinement", || {
+        let session = client.get(&format!("/api/v1/sessions/{id}")).json();
+        let job = &session["job"];
+        let state = job["state"].as_str()?;
+        assert!(
+            !matches!(state, "failed" | "refused" | "cancelled"),
+            "{job}"
+        );
+        (state == "done").then_some(())
+    });
+}
+
+#[test]
+fn a_scan_is_refined_whatever_is_asked_of_it_on_the_way() {
+    let bench = Workbench::empty();
+    symlink(demo(), bench.session()).unwrap();
+    let config = bench.write("fair.toml", FAIR);
+    let daemon = Daemon::start_in(bench, &["--config", config.to_str().unwrap()]);
+    let client = daemon.client;
+    let id = daemon.scan();
+    let scan = daemon.bench.path("data/sessions").join(&id);
+    ask(client, "reset", "");
+    await_event(&scan, "reset");
+    ask(client, "snapshot", "");
+    ask(client, "undo", r#"{"secs":0.2}"#);
+    await_event(&scan, "undone");
+    daemon.await_status("all shading images", |status| {
+        status["snapshots"]["accepted"] == status["snapshots"]["wanted"]
+    });
+    ask(client, "refine", "");
+    await_refined(client, &interim_of(client, &id));
+    assert_eq!(client.status()["scan"]["id"], id);
+
+    ask(client, "finish", "");
+    daemon.await_state("idle");
+    await_refined(client, &id);
+    for (name, beginning) in [("refined.ply", b"ply\n"), ("refined.glb", b"glTF")] {
+        let file = client.get(&format!("/api/v1/sessions/{id}/files/{name}"));
+        assert_eq!((file.status, &file.body[..4]), (200, &beginning[..]));
+    }
+    for which in ["refined", "difference"] {
+        client.get(&client.mesh_of(&id, which)).assert_mesh();
+    }
+    let again = client.post(&format!("/api/v1/sessions/{id}/refine"), "");
+    assert_eq!(again.status, 202);
+    // By the same settings it would become the same.
+    assert_eq!(again.json()["state"], "done");
+}
+
+#[test]
+fn an_abandoned_scan_keeps_its_frames_and_is_not_refined() {
+    let daemon = Daemon::start(&["--record"]);
+    let client = daemon.client;
+    let id = daemon.scan();
+    daemon.await_surface();
+    ask(client, "abandon", "");
+    daemon.await_state("idle");
+    let session = client.get(&format!("/api/v1/sessions/{id}")).json();
+    assert_eq!(
+        (&session["state"], &session["job"]),
+        (&json!("complete"), &Value::Null)
+    );
+    let scan = daemon.bench.path("data/sessions").join(&id);
+    let verified = Command::new(PROGRAM)
+        .args(["session", "verify"])
+        .arg(scan.join("recording"))
+        .output()
+        .unwrap();
+    assert_says(&verified, 0, &[]);
+}
