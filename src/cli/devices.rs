@@ -157,7 +157,8 @@ pub fn doctor(args: &DoctorArgs) -> anyhow::Result<Verdict> {
     let machine = Machine::under(&args.root);
     let data = match &args.data {
         Some(data) => data.clone(),
-        None => DataFolder::conventional()?,
+        // The machine is to be looked at even where nothing says where scans would go.
+        None => DataFolder::conventional().unwrap_or_else(|_| ".".into()),
     };
     let mut findings = doctor::examine(&machine, &data);
     let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;

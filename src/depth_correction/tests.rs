@@ -172,3 +172,18 @@ fn multipath_is_taken_once_off_a_frame_without_an_infrared_image() {
     let apart_m = mean(&of_seen, &of_corrected);
     assert!(apart_m.abs() < 0.15 * taken_m, "{apart_m} of {taken_m}");
 }
+
+#[test]
+fn a_scan_that_begins_anew_has_the_white_level_of_its_own_first_frame() {
+    let (mut correction, _) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
+    assert!(correction.live.is_some() && !correction.predictions.0.is_empty());
+    correction.begin_anew();
+    assert!(correction.live.is_none() && correction.predictions.0.is_empty());
+
+    let mut measured = calibration(1.0);
+    measured.light.white_level = Some(0.2);
+    let (mut correction, _) =
+        scanned_with(&measured, |fusion, depth, time, _| fusion.fuse(depth, time));
+    correction.begin_anew();
+    assert_eq!(correction.live.map(|white| white.0), Some(0.2));
+}

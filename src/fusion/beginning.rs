@@ -23,7 +23,7 @@ impl Fusion {
         let is_unbroken = frames
             .iter()
             .all(|frame| frame.stretch == frames[0].stretch);
-        // Where frames between them are not kept the motion is not known.
+        // Where many frames between them are not kept the motion is not known.
         let is_steady = frames
             .windows(2)
             .all(|pair| pair[1].time_secs - pair[0].time_secs <= STEADY_SECS);
@@ -66,7 +66,7 @@ impl Fusion {
         let (pose, fit) = candidates.into_iter().flatten().min_by(better)?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, params).ok()?;
         let is_near = motion_between(tracked, &pose).is_within(&WORTH);
-        // Where the shape does not hold the camera, where it was tracked is known better.
+        // What its own normals show to be flat does not say where it lies.
         (!is_near && !fit.is_sliding()).then_some(pose)
     }
 }

@@ -225,11 +225,14 @@ impl Fusion {
             on_step,
         )
         .ok_or(nothing)?;
-        // Where the shape does not hold the camera, what it starts from is known better: images may have held it there.
-        if fit.is_sliding() {
+        let judged = gates::judge_fit(&fit, &eye.frame, &eye.noise, params);
+        let is_on_it = matches!(judged, Ok(()) | Err(LossReason::FlatScene { .. }));
+        // What its own normals show to be flat does not say where it lies: images may have held it where it is.
+        if is_on_it && fit.is_sliding() {
+            self.n_unpolished += 1;
             return Ok((*start, fit));
         }
-        gates::judge_fit(&fit, &eye.frame, &eye.noise, params)?;
+        judged?;
         let motion = motion_between(given, &pose);
         let bound = reach.unwrap_or_else(|| params.polish.reach());
         if motion.rotation_rad > bound.rotation_rad || motion.translation_m > bound.translation_m {

@@ -9,7 +9,8 @@ pub const STEADY_SECS: f64 = 0.12;
 /// to and fro in about a second.
 pub const MAX_PREDICTION_SECS: f64 = 0.4;
 
-/// Frames that claim to be closer in time than this are dated by their arrival: no sensor is faster.
+/// Frames whose stamps are closer than this were stamped as they arrived, in a burst: no sensor is faster, and so much is taken to have
+/// passed.
 pub const LEAST_INTERVAL_SECS: f64 = 1.0 / 60.0;
 
 /// The camera's recent motion.
@@ -103,5 +104,13 @@ mod tests {
         assert!(!later.is_moving());
         assert!((x_of(later.carried_on(1.2)) - 0.07).abs() < 1e-12);
         assert!(!track.is_outdated(0.4) && track.is_outdated(0.6));
+    }
+
+    #[test]
+    fn stamps_in_a_burst_make_no_great_speed() {
+        let ahead = Pose::translation(0.01, 0.0, 0.0);
+        let track = Track::at(Pose::identity(), 0.0).moved_to(ahead, 0.001, true);
+        // 0.6 m/s, and not 10.
+        assert!((track.predict(0.101).translation.x - 0.07).abs() < 1e-12);
     }
 }

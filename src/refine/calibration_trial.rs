@@ -213,4 +213,45 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn views_that_judge_see_the_gloss_that_was_told() {
+        let (rays, truth) = (rays(), calibration());
+        let optics = optics(&rays, &truth);
+        let flat = RippledPlane { amplitude_m: 0.0 };
+        let base = flat.mesh(0.0025);
+        let gloss = Gloss {
+            strength: 0.5,
+            power: 20.0,
+        };
+        let poses = poses_all_round();
+        let rendered = poses.iter().map(|pose| {
+            let mut snapshot = flat.snapshot(&optics, pose);
+            flat.polish(&mut snapshot, gloss, &optics);
+            snapshot
+        });
+        let snapshots: Vec<_> = rendered.collect();
+        let params = RefineParams {
+            edge_length_m: 0.0025,
+            ..RefineParams::default()
+        };
+        let level = coarsest(&base, &params).expect("a surface");
+        let subject = Subject {
+            scene: &base,
+            object: &base,
+            snapshots: &snapshots,
+            optics: &optics,
+        };
+        let trial = CalibrationTrial {
+            subject: &subject,
+            params: &params,
+            mesh: &level.mesh,
+            asked: first_views(snapshots.len()),
+            tolerance: Tolerance::FINISHED,
+        };
+        let views = views_of(&subject, &params);
+        let left = |gloss: Gloss| trial.slow_gain(&level, &views, gloss).expect("seen");
+        let (told, matte) = (left(gloss), left(Gloss::default()));
+        assert!(told < 0.3 * matte, "{told} of {matte}");
+    }
 }

@@ -80,8 +80,8 @@ impl Crop {
             Crop::None => (base.clone(), "the model has no surface"),
             Crop::Auto | Crop::Object => (
                 select_object(base, world_from_cameras).0,
-                "no object stands out of the scene; give its box by object.crop of the configuration, \
-                 or by --roi of relief refine",
+                "no object stands out of the scene; give its box by --crop or object.crop of the \
+                configuration, or by --roi of relief refine",
             ),
             Crop::Box(bounds) => (
                 largest_component(&select_roi(base, &Roi::of_bounds(*bounds)?)),

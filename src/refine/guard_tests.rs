@@ -487,4 +487,6 @@ fn a_surface_must_not_be_worse_in_either_measure() {
     assert!(!judgement(error(0.09, 0.04)).prefers_base());
     assert!(judgement(error(0.09, 0.06)).prefers_base());
     assert!(judgement(error(0.11, 0.04)).prefers_base());
+    assert!(judgement(error(f64::NAN, 0.04)).prefers_base());
+    assert!(judgement(error(0.09, f64::NAN)).prefers_base());
 }

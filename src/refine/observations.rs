@@ -88,7 +88,7 @@ impl Observation {
     }
 }
 
-/// What one view shows of a site that the light reaches, and what it would show for unit albedo.
+/// What one view shows of a site, and what it would show for unit albedo: 0 where the light does not reach it.
 #[derive(Clone, Copy)]
 pub struct Shown {
     /// Observed intensity, in its standard deviations.

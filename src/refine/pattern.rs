@@ -39,14 +39,14 @@ impl Pattern {
         &self.couplings
     }
 
-    /// The diagonal of H⁻¹; `None` where H is not positive definite or memory does not suffice.
+    /// The diagonal of H⁻¹; `None` where H is not positive definite, rounding allowed for, or memory does not suffice.
     pub fn inverse_diagonal(&self, matrix: &NormalMatrix) -> Option<Vec<f64>> {
         let NormalMatrix {
             diagonal,
             off_diagonal,
             ..
         } = matrix;
-        /// Single precision resolves no less of a diagonal.
+        /// Some ten times what single precision resolves: rounding alone makes no matrix indefinite then.
         const RIDGE: f64 = 1e-6;
         let factor = self.analysis.factorise(diagonal, off_diagonal);
         let factor = factor.or_else(|| {

@@ -34,8 +34,8 @@ const STEPS: usize = 4;
 const MAX_FACTOR: f64 = 5.0;
 
 impl Tint {
-    /// That for which the energy of a site is about least, if views enough see it: by what those `shown` of them show that the light
-    /// reaches, and in a group of this albedo. `start` is the factor that residuals are first weighted by.
+    /// That for which the energy of a site is about least, if views enough see it: by what is `shown` of them, in a group of this
+    /// albedo; where the light does not reach, nothing tells of it. `start` is the factor that residuals are first weighted by.
     pub fn best(
         seen: &[Observation],
         shown: &[Shown],

@@ -21,7 +21,8 @@ const DRIFT: i64 = 1000;
 #[derive(Clone, Debug, Default)]
 pub struct DeviceClock {
     newest: Option<Reading>,
-    /// The last one whose image came as soon as any: by it the host's clock says what time it is on the device.
+    /// The last one whose image came as soon as any: by it the host's clock says what time it is on the device. `None`
+    /// until the first stamp of a device that was opened anew.
     punctual: Option<Reading>,
 }
 

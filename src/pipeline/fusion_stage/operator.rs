@@ -174,7 +174,6 @@ impl FusionStage {
 
     fn reset(&mut self) {
         if self.forget_after(f64::NEG_INFINITY).is_some() {
-            self.correction.begin_anew();
             self.of_frames = State::Warming;
             self.tell_at(None, EventKind::Reset);
         }
@@ -201,6 +200,9 @@ impl FusionStage {
             .partition_point(|(time_secs, _)| *time_secs <= after_secs);
         let n_frames = self.trajectory.len() - n_left;
         self.trajectory.truncate(n_left);
+        if n_left == 0 {
+            self.correction.begin_anew();
+        }
         self.summary.n_taken_back += n_frames as u64;
         self.status.update(|status| status.n_in_model = n_left);
         self.measure_path();
