@@ -148,24 +148,44 @@ mod tests {
     use super::*;
     use crate::shading::Calibration;
 
+    const EDGE_M: f64 = 0.0025;
     const RIPPLED: RippledPlane = RippledPlane {
         amplitude_m: 0.0004,
     };
+
+    fn params() -> RefineParams {
+        RefineParams {
+            edge_length_m: EDGE_M,
+            ..RefineParams::default()
+        }
+    }
+
+    /// The trial of a finished scan by all its views.
+    fn trial<'a>(
+        subject: &'a Subject,
+        params: &'a RefineParams,
+        level: &'a Level,
+    ) -> CalibrationTrial<'a> {
+        CalibrationTrial {
+            subject,
+            params,
+            mesh: &level.mesh,
+            asked: first_views(subject.snapshots.len()),
+            tolerance: Tolerance::FINISHED,
+        }
+    }
 
     #[test]
     fn what_leaves_more_slow_gain_than_what_is_believed_or_hardly_less_is_not_told() {
         let (rays, truth) = (rays(), calibration());
         let true_optics = optics(&rays, &truth);
-        let base = RippledPlane { amplitude_m: 0.0 }.mesh(0.0025);
+        let base = RippledPlane { amplitude_m: 0.0 }.mesh(EDGE_M);
         let poses = poses_all_round();
         let rendered = poses
             .iter()
             .map(|pose| RIPPLED.snapshot(&true_optics, pose));
         let snapshots: Vec<_> = rendered.collect();
-        let params = RefineParams {
-            edge_length_m: 0.0025,
-            ..RefineParams::default()
-        };
+        let params = params();
         let level = coarsest(&base, &params).expect("a surface");
         let of_gamma = |share: f64| Calibration {
             gamma: share * truth.gamma,
@@ -185,13 +205,7 @@ mod tests {
             };
             let optics = true_optics.with(believed);
             let subject = subject_of(&optics);
-            let trial = CalibrationTrial {
-                subject: &subject,
-                params: &params,
-                mesh: &level.mesh,
-                asked: first_views(snapshots.len()),
-                tolerance: Tolerance::FINISHED,
-            };
+            let trial = trial(&subject, &params, &level);
             let told = Told {
                 contradiction: Some(Contradiction {
                     believed_gamma: believed.gamma,
@@ -219,7 +233,7 @@ mod tests {
         let (rays, truth) = (rays(), calibration());
         let optics = optics(&rays, &truth);
         let flat = RippledPlane { amplitude_m: 0.0 };
-        let base = flat.mesh(0.0025);
+        let base = flat.mesh(EDGE_M);
         let gloss = Gloss {
             strength: 0.5,
             power: 20.0,
@@ -231,10 +245,7 @@ mod tests {
             snapshot
         });
         let snapshots: Vec<_> = rendered.collect();
-        let params = RefineParams {
-            edge_length_m: 0.0025,
-            ..RefineParams::default()
-        };
+        let params = params();
         let level = coarsest(&base, &params).expect("a surface");
         let subject = Subject {
             scene: &base,
@@ -242,13 +253,7 @@ mod tests {
             snapshots: &snapshots,
             optics: &optics,
         };
-        let trial = CalibrationTrial {
-            subject: &subject,
-            params: &params,
-            mesh: &level.mesh,
-            asked: first_views(snapshots.len()),
-            tolerance: Tolerance::FINISHED,
-        };
+        let trial = trial(&subject, &params, &level);
         let views = views_of(&subject, &params);
         let left = |gloss: Gloss| trial.slow_gain(&level, &views, gloss).expect("seen");
         let (told, matte) = (left(gloss), left(Gloss::default()));
