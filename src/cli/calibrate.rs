@@ -44,7 +44,7 @@ pub enum CalibrateCommand {
     Light(TargetArgs),
     /// Where the IR image lies against the depth image, from silhouettes
     Offset(OffsetArgs),
-    /// How strong the multipath of a Kinect II is, from a scan of an object on a table
+    /// How strong the multipath of a Kinect II is, and what its range gets wrong, from a scan of an object on a table
     Depth(DepthArgs),
 }
 
@@ -150,10 +150,10 @@ fn merge(
     config::merge_into_file(path, device, &shipped, replace).map_err(of_merging)
 }
 
-/// Says where a key went, if it was to be written, after it was printed: what cannot be printed is written all the same, and what cannot be
+/// Says where keys went, if they were to be written, after they were printed: what cannot be printed is written all the same, and what cannot be
 /// written is printed.
 fn conclude(
-    key: CalibrationKey,
+    keys: &[CalibrationKey],
     path: &Path,
     written: anyhow::Result<Option<MergeReport>>,
     printed: io::Result<()>,
@@ -164,7 +164,13 @@ fn conclude(
         if let Some(kept) = &report.kept {
             writeln!(Stdout, "the file as it was: {}", kept.display())?;
         }
-        writeln!(Stdout, "{key} written to {}", path.display())?;
+        let names: Vec<&str> = keys.iter().map(|key| key.name()).collect();
+        writeln!(
+            Stdout,
+            "{} written to {}",
+            names.join(" and "),
+            path.display()
+        )?;
     }
     Ok(Verdict::Done)
 }

@@ -128,6 +128,9 @@ fn read(path: &Path, info: &CameraInfo) -> Result<FoundCalibration, ConfigError>
     if calibration.light.white_level.is_none() {
         origins.insert(CalibrationKey::LightWhiteLevel, KeyOrigin::Estimated);
     }
+    if calibration.range_error_m.is_none() {
+        origins.insert(CalibrationKey::RangeError, KeyOrigin::Estimated);
+    }
     Ok(FoundCalibration {
         calibration,
         source,

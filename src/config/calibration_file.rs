@@ -7,6 +7,7 @@ use super::{
     CalibrationKey, ConfigError, Measurement,
     calibration_key::{KeyOrigin, KeyOrigins},
 };
+use crate::geometry::RangeError;
 use crate::shading::{Calibration, FlatField, ImageNoise, LightCalibration};
 use depth_camera::Sensor;
 use serde::{Deserialize, Serialize};
@@ -32,6 +33,9 @@ pub struct DeviceCalibration {
     /// How far the IR image's content lies right of and below the depth image's, pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ir_offset_px: Option<[f64; 2]>,
+    /// Error of the depth by range alone: points of range and how much too long it is, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range_error_m: Option<RangeError>,
     /// How the lens darkens the image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub flat_field: Option<FlatField>,
@@ -73,6 +77,7 @@ impl DeviceCalibration {
             flat_field: None,
             light: MeasuredLight::default(),
             noise: None,
+            range_error_m: None,
             measured: BTreeMap::new(),
         }
     }
@@ -127,6 +132,7 @@ impl DeviceCalibration {
             CalibrationKey::LightWhiteLevel => self.light.white_level.is_some(),
             CalibrationKey::Noise => self.noise.is_some(),
             CalibrationKey::IrOffset => self.ir_offset_px.is_some(),
+            CalibrationKey::RangeError => self.range_error_m.is_some(),
         }
     }
 
@@ -150,6 +156,7 @@ impl DeviceCalibration {
             flat_field: self.flat_field.clone().unwrap_or(shipped.flat_field),
             light,
             noise: self.noise.unwrap_or(shipped.noise),
+            range_error_m: self.range_error_m.clone().or(shipped.range_error_m),
         };
         let origin = |key| (key, self.origin(key));
         (calibration, CalibrationKey::ALL.map(origin).into())
@@ -159,7 +166,7 @@ impl DeviceCalibration {
         match key {
             key if self.holds(key) => KeyOrigin::File(self.measured.get(&key).map(|m| m.date)),
             CalibrationKey::LightPosition | CalibrationKey::IrOffset => KeyOrigin::Stated,
-            CalibrationKey::LightWhiteLevel => KeyOrigin::Estimated,
+            CalibrationKey::LightWhiteLevel | CalibrationKey::RangeError => KeyOrigin::Estimated,
             _ => KeyOrigin::Shipped,
         }
     }
@@ -174,6 +181,7 @@ impl DeviceCalibration {
             CalibrationKey::LightWhiteLevel => self.light.white_level = from.light.white_level,
             CalibrationKey::Noise => self.noise = from.noise,
             CalibrationKey::IrOffset => self.ir_offset_px = from.ir_offset_px,
+            CalibrationKey::RangeError => self.range_error_m.clone_from(&from.range_error_m),
         }
         match from.measured.get(&key) {
             Some(measurement) => self.measured.insert(key, measurement.clone()),
@@ -194,6 +202,10 @@ impl DeviceCalibration {
                 .noise
                 .map(|noise| format!("read {}, shot {}", noise.read, noise.shot)),
             CalibrationKey::IrOffset => self.ir_offset_px.map(|offset| format!("{offset:?}")),
+            CalibrationKey::RangeError => self
+                .range_error_m
+                .as_ref()
+                .map(|error| format!("up to {:.1} mm", 1e3 * error.largest_m())),
         };
         shown.unwrap_or_default()
     }
@@ -255,13 +267,16 @@ mod tests {
                 "light.white_level: estimated from each scan",
                 "noise: shipped",
                 "ir_offset_px: as the session states",
+                "range_error_m: estimated from each scan",
             ]
         );
     }
 
     #[test]
     fn a_calibration_survives_its_file() {
-        let device = DeviceCalibration::from_toml(PARTIAL).unwrap();
+        let mut device = DeviceCalibration::from_toml(PARTIAL).unwrap();
+        let error = RangeError::through(vec![[0.5, 0.001], [0.51, -0.002]]);
+        device.range_error_m = Some(error);
         let text = toml::to_string(&device).unwrap();
         assert_eq!(DeviceCalibration::from_toml(&text), Ok(device));
     }
@@ -281,6 +296,11 @@ mod tests {
             ("kinect2", "kinect3", "sensor is \"kinect3\", must be"),
             ("measured.gamma", "measured.gain", "gain"),
             ("[0.1, 0.0", "[9.1, 0.0", "light.position_m holds 9.1"),
+            (
+                "gamma = 1.0",
+                "gamma = 1.0\nrange_error_m = [[0.5, 3.0]]",
+                "range_error_m holds an error of 3, must be",
+            ),
         ] {
             let error = DeviceCalibration::from_toml(&PARTIAL.replace(old, new)).unwrap_err();
             assert!(error.contains(expected), "{error}");

@@ -28,11 +28,14 @@ pub enum CalibrationKey {
     /// Where the IR image lies against the depth image.
     #[serde(rename = "ir_offset_px")]
     IrOffset,
+    /// Error of the depth by range alone.
+    #[serde(rename = "range_error_m")]
+    RangeError,
 }
 
 impl CalibrationKey {
     /// All of them, in the order of the file.
-    pub const ALL: [CalibrationKey; 7] = [
+    pub const ALL: [CalibrationKey; 8] = [
         CalibrationKey::Gamma,
         CalibrationKey::FlatField,
         CalibrationKey::LightLobePower,
@@ -40,6 +43,7 @@ impl CalibrationKey {
         CalibrationKey::LightWhiteLevel,
         CalibrationKey::Noise,
         CalibrationKey::IrOffset,
+        CalibrationKey::RangeError,
     ];
 
     /// The name in files and messages.
@@ -52,6 +56,7 @@ impl CalibrationKey {
             CalibrationKey::LightWhiteLevel => "light.white_level",
             CalibrationKey::Noise => "noise",
             CalibrationKey::IrOffset => "ir_offset_px",
+            CalibrationKey::RangeError => "range_error_m",
         }
     }
 }

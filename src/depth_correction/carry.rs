@@ -1,7 +1,7 @@
-//! Frames that are fused again with their rows put right lie elsewhere, and carry those after them along; where tracking broke, and the
+//! Frames that are fused again with their rows put right, or without an error of range, lie elsewhere, and carry those after them along; where tracking broke, and the
 //! camera was found in another place, those near it do.
 
-use super::revision::SHUTTER_REACH;
+use super::revision::TRACKED_ANEW_REACH;
 use crate::geometry::{Pose, motion_between};
 
 /// How far frames were moved, in order of time.
@@ -45,8 +45,8 @@ impl Moved {
     /// How far a pose is from where it lay, in reaches of its alignment.
     fn apart(&self, pose: &Pose) -> f64 {
         let motion = motion_between(&self.before, pose);
-        motion.rotation_rad / SHUTTER_REACH.rotation_rad
-            + motion.translation_m / SHUTTER_REACH.translation_m
+        motion.rotation_rad / TRACKED_ANEW_REACH.rotation_rad
+            + motion.translation_m / TRACKED_ANEW_REACH.translation_m
     }
 }
 

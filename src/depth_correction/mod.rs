@@ -1,28 +1,28 @@
 //! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
 //! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 //!
-//! A Kinect II suffers from multipath; a Kinect I has a slow error of its depth and reads its rows one after the other, which only the
-//! frames of a whole scan tell ([`DepthField`](crate::fusion::DepthField), [`RollingShutter`](crate::fusion::RollingShutter)). Pure:
-//! what is predicted of the frames is kept here as long as fusion holds them.
+//! A Kinect II suffers from multipath, and from an error by range alone; a Kinect I has a slow error of its depth and reads its rows one
+//! after the other. Only the frames of a whole scan tell the three ([`RangeError`], [`DepthField`](crate::fusion::DepthField),
+//! [`RollingShutter`](crate::fusion::RollingShutter)). Pure: what is predicted of the frames is kept here as long as fusion holds them.
 
 mod carry;
-mod measured_white;
+mod measured;
 mod predictions;
 mod revision;
 #[cfg(test)]
 mod tests;
 
-pub use measured_white::MeasuredWhite;
+pub use measured::MeasuredDepth;
 pub use revision::Revised;
 
 use crate::{
     fusion::{Fusion, FusionParams, GoesOn},
-    geometry::{CameraModel, Pose, RayGrid},
+    geometry::{CameraModel, Pose, RangeError, RayGrid},
     interreflection::WhiteLevel,
     multipath::Multipath,
     shading::Calibration,
 };
-use depth_camera::{CameraInfo, Frame, Image};
+use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use predictions::Predictions;
 use revision::Known;
 
@@ -33,6 +33,8 @@ pub struct DepthCorrection {
     fusion: FusionParams,
     /// `None` for a sensor that suffers from none, or where it is not wanted.
     multipath: Option<Multipath>,
+    /// The error by range that the device's calibration tells, taken off every frame.
+    range: Option<RangeError>,
     /// The white level that frames are corrected for while the scan goes on; `None` before the first.
     live: Option<WhiteLevel>,
     /// The white level that revisions begin with, where another calibration was found since.
@@ -57,6 +59,10 @@ impl DepthCorrection {
             rays: RayGrid::new(CameraModel::new(info.intrinsics)),
             fusion: fusion.clone(),
             multipath: multipath.flatten(),
+            range: calibration
+                .range_error_m
+                .clone()
+                .filter(|_| info.sensor == Sensor::Kinect2),
             live: measured.map(WhiteLevel),
             recalibrated: None,
             is_measured: measured.is_some(),
@@ -64,20 +70,24 @@ impl DepthCorrection {
         }
     }
 
-    /// A frame without its multipath; `None` if nothing can be predicted for it.
+    /// A frame without the errors of its depth that are known while the scan goes on; `None` if there are none.
     pub fn correct(&mut self, frame: &Frame) -> Option<Frame> {
+        let depth = frame.depth.as_ref();
+        let ranged = self.range.as_ref().zip(depth);
+        let ranged = ranged.map(|(range, depth)| range.corrected(depth, &self.rays));
+        let ranged = ranged.map(|depth| with_depth(frame, depth));
+        self.without_multipath(ranged.as_ref().unwrap_or(frame))
+            .or(ranged)
+    }
+
+    /// A frame without its multipath; `None` if nothing can be predicted for it.
+    fn without_multipath(&mut self, frame: &Frame) -> Option<Frame> {
         let multipath = self.multipath.as_ref()?;
         let prediction = multipath.predict(frame)?;
         self.live.get_or_insert(prediction.plausible_white);
         let depth = multipath.corrected(frame.depth.as_ref()?, &prediction.bias, None, self.live);
         self.predictions.insert(frame.device_time_secs, prediction);
-        Some(Frame {
-            frame_id: frame.frame_id,
-            device_time_secs: frame.device_time_secs,
-            host_time: frame.host_time,
-            depth: Some(depth),
-            ir: frame.ir.clone(),
-        })
+        Some(with_depth(frame, depth))
     }
 
     /// Goes on with another calibration, by which the scan is to be revised; frames that were corrected stay as they are.
@@ -153,6 +163,10 @@ impl DepthCorrection {
             |(multipath, nearest)| {
                 let bias = nearest.bias_on(model, multipath, depth_m, world_from_camera);
                 let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
+                let raw = match &known.range {
+                    Some(range) => range.corrected(&raw, &self.rays),
+                    None => raw,
+                };
                 multipath.corrected(&raw, &bias, None, known.white)
             },
         );
@@ -160,5 +174,16 @@ impl DepthCorrection {
             Some(field) => field.corrected(&depth),
             None => depth,
         }
+    }
+}
+
+/// The same frame with another depth image, metres.
+fn with_depth(frame: &Frame, depth_m: Image<f32>) -> Frame {
+    Frame {
+        frame_id: frame.frame_id,
+        device_time_secs: frame.device_time_secs,
+        host_time: frame.host_time,
+        depth: Some(depth_m),
+        ir: frame.ir.clone(),
     }
 }

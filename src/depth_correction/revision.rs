@@ -7,9 +7,9 @@ use crate::{
         DepthField, DepthNoise, Fusion, GoesOn, PoseCorrection, RollingShutter, TrackingOutcome,
         Waypoint, Work, velocities,
     },
-    geometry::{CameraModel, Motion},
+    geometry::{CameraModel, Motion, RangeError},
     interreflection::WhiteLevel,
-    multipath::{Evidence, WhiteSearch},
+    multipath::{Compared, Evidence, WhiteSearch},
 };
 use depth_camera::Sensor;
 
@@ -22,11 +22,20 @@ pub struct Revised {
     pub(super) known: Known,
 }
 
-/// What is taken off the depth of a scan.
+impl Revised {
+    /// The error by range alone that the scan showed, beside what is known of the device.
+    pub fn range_error(&self) -> Option<&RangeError> {
+        self.known.range.as_ref()
+    }
+}
+
+/// What is taken off the depth of a scan, beside what was while it went on.
 #[derive(Clone)]
 pub(super) struct Known {
     /// `None` is no multipath.
     pub(super) white: Option<WhiteLevel>,
+    /// `None` is no error by range alone.
+    pub(super) range: Option<RangeError>,
     /// `None` is no slow error.
     pub(super) field: Option<DepthField>,
     /// `None` is all rows at once.
@@ -44,16 +53,17 @@ pub(super) struct Settled {
 /// The first so many revisions free depth of multipath on the model, whatever the views tell: the first model still shows what the
 /// live prediction left.
 const MODEL_ROUNDS: usize = 2;
-/// What a Kinect I gets wrong is asked for before the first so many revisions. After three, what the frames still show of it is noise:
-/// with a fourth the base mesh of `pot-k1` lies 0.40 mm off for 0.38.
-const FIELD_ROUNDS: usize = 3;
+/// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still show of it is noise:
+/// with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
+const SENSOR_ROUNDS: usize = 3;
 /// A revision that loses more than this share of the frames is not used.
 const MAX_LOST_SHARE: f64 = 0.05;
 /// A field that changes by less, metres at a metre, is not worth fusing again.
 const MIN_FIELD_M: f64 = 1e-4;
-/// How far a frame whose rows are put right may lie from where it would by its motion since the one before: where tracking had slid
-/// along a far surface for want of a rigid image, it was off by 4 cm and 0.08 rad.
-pub(super) const SHUTTER_REACH: Motion = Motion {
+/// How far a frame may lie from where it would by its motion since the one before, where rows are put right or an error of range was
+/// taken off: tracking had slid along a far surface for want of a rigid image by 4 cm and 0.08 rad, and had turned a head that a wiggle
+/// of 3 mm had bent by 12° in a whole turn.
+pub(super) const TRACKED_ANEW_REACH: Motion = Motion {
     rotation_rad: 0.15,
     translation_m: 0.08,
 };
@@ -77,14 +87,15 @@ impl DepthCorrection {
             let mut known = revised.as_ref().map_or_else(
                 || Known {
                     white: start,
+                    range: None,
                     field: None,
                     shutter: None,
                 },
                 |revised| revised.known.clone(),
             );
             let mut has_more = has_multipath && round < MODEL_ROUNDS;
-            let asks_field = round < FIELD_ROUNDS;
-            if let Some(shown) = asks_field.then(|| self.field(current)).flatten() {
+            let asks_sensor = round < SENSOR_ROUNDS;
+            if let Some(shown) = asks_sensor.then(|| self.field(current)).flatten() {
                 has_more = true;
                 let further = shown.in_full();
                 known.field = Some(match &known.field {
@@ -92,7 +103,7 @@ impl DepthCorrection {
                     None => further,
                 });
             }
-            if let Some(further) = asks_field.then(|| self.shutter(current)).flatten() {
+            if let Some(further) = asks_sensor.then(|| self.shutter(current)).flatten() {
                 has_more = true;
                 known.shutter = Some(
                     known
@@ -100,8 +111,26 @@ impl DepthCorrection {
                         .map_or(further, |before| before.plus(&further)),
                 );
             }
+            // A scan that shows none at first shows none later, and asking takes a second.
+            let may_show_range = revised.is_none() || known.range.is_some();
+            let asks_range = asks_sensor && self.fusion.range_error && may_show_range;
+            let asks_white = revised.is_some() && !self.is_measured;
+            let is_asked = has_multipath && (asks_range || asks_white);
+            let compared = is_asked.then(|| self.compared(current, known.white));
+            let mut views = compared.flatten();
+            let shown = views.as_ref().filter(|_| asks_range);
+            if let Some(further) = shown.and_then(Compared::range_error) {
+                has_more = true;
+                views = views.map(|views| views.without(&further));
+                known.range = Some(match &known.range {
+                    Some(before) => before.plus(&further),
+                    None => further,
+                });
+            }
             if revised.is_some() {
-                told = self.evidence(current, known.white);
+                told = views
+                    .filter(|_| asks_white)
+                    .and_then(|views| self.evidence(&views, known.white));
                 if let Some((evidence, search)) = told.zip(search.as_mut()) {
                     let next = search.next(known.white, evidence);
                     has_more |= !next.will_do;
@@ -167,7 +196,8 @@ impl DepthCorrection {
             .collect();
         let velocities = velocities(&path);
         let is_given = original.is_at_given_poses();
-        let reach = known.shutter.filter(|_| !is_given).map(|_| SHUTTER_REACH);
+        let slid = known.shutter.is_some() || known.range.is_some();
+        let reach = (slid && !is_given).then_some(TRACKED_ANEW_REACH);
         let mut carry = Carry::default();
         for (n_done, (frame, velocity)) in frames.iter().zip(&velocities).enumerate() {
             if !goes_on(work.at(n_done, frames.len())) {
@@ -208,6 +238,7 @@ impl DepthCorrection {
         }
         tracing::info!(
             white_level = known.white.map(|white| white.0),
+            range_error_mm = known.range.as_ref().map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),
             "fused again with its depth corrected"

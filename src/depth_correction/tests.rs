@@ -4,7 +4,7 @@ use super::predictions::nanos;
 use super::*;
 use crate::{
     fusion::{DepthNoise, TrackingOutcome},
-    geometry::motion_between,
+    geometry::{CellGrid, motion_between},
 };
 use depth_camera::DepthCamera;
 use simulated::SimulatedCamera;
@@ -34,7 +34,17 @@ fn scanned_with(
     calibration: &Calibration,
     fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
 ) -> (DepthCorrection, Fusion) {
-    let mut camera = SimulatedCamera::kinect2_plaque(N_FRAMES, 7);
+    scanned_as(N_FRAMES, calibration, |frame| frame, fuse)
+}
+
+/// The same of so many frames, as a sensor delivers them that has another error of its own.
+fn scanned_as(
+    n_frames: usize,
+    calibration: &Calibration,
+    deliver: impl Fn(Frame) -> Frame,
+    fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
+) -> (DepthCorrection, Fusion) {
+    let mut camera = SimulatedCamera::kinect2_plaque(n_frames, 7);
     let info = camera.info().clone();
     let params = FusionParams {
         voxel_size_m: 0.004,
@@ -44,9 +54,9 @@ fn scanned_with(
     let noise = DepthNoise::of_sensor(info.sensor);
     let mut fusion = Fusion::new(CameraModel::new(info.intrinsics), noise, params);
     let first = camera.true_world_from_camera(0).inverse();
-    for index in 0..N_FRAMES {
+    for index in 0..n_frames {
         let frame = camera.grab(Duration::from_secs(10));
-        let frame = frame.expect("it is simulated").expect("not the end");
+        let frame = deliver(frame.expect("it is simulated").expect("not the end"));
         let corrected = correction.correct(&frame).expect("it shows light");
         let depth = corrected.depth.as_ref().expect("a Kinect II");
         let pose = first * camera.true_world_from_camera(index);
@@ -151,6 +161,7 @@ fn multipath_is_taken_once_off_a_frame_without_an_infrared_image() {
     let (time_secs, pose) = (frame.time_secs, frame.world_from_camera);
     let known = Known {
         white: correction.live,
+        range: None,
         field: None,
         shutter: None,
     };
@@ -186,4 +197,87 @@ fn a_scan_that_begins_anew_has_the_white_level_of_its_own_first_frame() {
         scanned_with(&measured, |fusion, depth, time, _| fusion.fuse(depth, time));
     correction.begin_anew();
     assert_eq!(correction.live.map(|white| white.0), Some(0.2));
+}
+
+/// A wiggle of 4 mm, as a table over the ranges of the scan and as a sensor has it.
+fn wiggle() -> RangeError {
+    let points = (20..200).map(|k| 0.01 * f64::from(k));
+    RangeError::through(points.map(|r| [r, 0.004 * (20.0 * r).sin()]).collect())
+}
+
+/// A frame of a sensor with that wiggle.
+fn wiggling(frame: Frame) -> Frame {
+    let points = (20..200).map(|k| 0.01 * f64::from(k));
+    let shorter = RangeError::through(points.map(|r| [r, -wiggle().at_m(r)]).collect());
+    let rays = RayGrid::new(CameraModel::new(
+        SimulatedCamera::kinect2_plaque(1, 7).info().intrinsics,
+    ));
+    let depth = shorter.corrected(frame.depth.as_ref().expect("a Kinect II"), &rays);
+    with_depth(&frame, depth)
+}
+
+/// Root mean square of how far patches of fused frames lie from what the camera saw, metres, but for a constant and a share of depth.
+fn off_m(fusion: &Fusion, n_frames: usize) -> f64 {
+    let camera = SimulatedCamera::kinect2_plaque(n_frames, 7);
+    let rays = RayGrid::new(CameraModel::new(camera.info().intrinsics));
+    let cells = CellGrid::new(rays.rays().width(), rays.rays().height(), 32);
+    let mut apart = Vec::new();
+    for (index, frame) in fusion.keyframes().iter().enumerate() {
+        let (seen, truth) = (frame.depth_m(), camera.true_depth(index));
+        for cell in 0..cells.n_cells() {
+            let pixels = cells.square(cell, 1).pixels();
+            let both = pixels.map(|(u, v)| (*seen.at(u, v), *truth.at(u, v)));
+            let both = both.filter(|(a, b)| *a > 0.0 && *b > 0.0 && (a - b).abs() < 0.02);
+            let off: Vec<f64> = both.map(|(a, b)| f64::from(a - b)).collect();
+            if off.len() > 200 {
+                let far = f64::from(*truth.at(cells.middle(cell).0, cells.middle(cell).1));
+                apart.push((far, off.iter().sum::<f64>() / off.len() as f64));
+            }
+        }
+    }
+    let n = apart.len() as f64;
+    let mean = |value: &dyn Fn(&(f64, f64)) -> f64| apart.iter().map(value).sum::<f64>() / n;
+    let (far, off) = (mean(&|(far, _)| *far), mean(&|(_, off)| *off));
+    let slope = mean(&|(z, x)| (z - far) * (x - off)) / mean(&|(z, _)| (z - far).powi(2));
+    mean(&|(z, x)| (x - off - slope * (z - far)).powi(2)).sqrt()
+}
+
+#[test]
+fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
+    const N_VIEWS: usize = 16;
+    let track =
+        |fusion: &mut Fusion, depth: &Image<f32>, time: f64, _: &Pose| fusion.fuse(depth, time);
+    let revised = |correction: &DepthCorrection, fusion: &Fusion| {
+        let revised = correction.revise(fusion, &|_| true);
+        revised.expect("light comes over the table")
+    };
+    let (correction, fusion) = scanned_as(N_VIEWS, &calibration(1.0), |frame| frame, track);
+    let without = revised(&correction, &fusion);
+    assert_eq!(without.range_error(), None);
+
+    let (correction, fusion) = scanned_as(N_VIEWS, &calibration(1.0), wiggling, track);
+    let before = off_m(&fusion, N_VIEWS);
+    let told = revised(&correction, &fusion);
+    assert!(
+        told.range_error()
+            .is_some_and(|error| error.largest_m() > 0.002)
+    );
+    let after = off_m(&told.fusion, N_VIEWS);
+    let best = off_m(&without.fusion, N_VIEWS);
+    assert!(
+        after - best < 0.5 * (before - best),
+        "{before} m, {after} m, {best} m"
+    );
+
+    let mut known = calibration(1.0);
+    known.range_error_m = Some(wiggle());
+    let (correction, fusion) = scanned_as(N_VIEWS, &known, wiggling, track);
+    let live = off_m(&fusion, N_VIEWS);
+    let right = revised(&correction, &fusion);
+    assert_eq!(right.range_error(), None);
+    let after = off_m(&right.fusion, N_VIEWS);
+    assert!(
+        live - best < 0.3 * (before - best) && after < 1.1 * best,
+        "{live} m, {after} m, {best} m"
+    );
 }

@@ -45,6 +45,8 @@ pub struct FusionParams {
     pub depth_field: bool,
     /// Whether the time in which a Kinect I's rows are read is measured by the scan itself, and its motion meanwhile taken off.
     pub rolling_shutter: bool,
+    /// Whether the error that a Kinect II's depth has by range alone is measured by the scan itself and taken off.
+    pub range_error: bool,
     /// How often a scan may be fused again at its end with what it has told of its depth.
     pub max_revisions: usize,
     /// Polishing of given poses.
@@ -74,6 +76,7 @@ impl Default for FusionParams {
             max_speed_m_per_s: 2.0,
             depth_field: true,
             rolling_shutter: true,
+            range_error: true,
             max_revisions: 4,
             use_infrared: true,
             polish: PolishParams::default(),

@@ -20,6 +20,7 @@ mod patch;
 mod plane;
 mod point_grid;
 mod pose;
+mod range_error;
 mod rasterise;
 mod rigid;
 mod tangents;
@@ -43,6 +44,7 @@ pub use pose::{
     Motion, Pose, between, increment, increment_about, increment_of, mean_pose, motion_between,
     path_length_m, point_to_plane_row,
 };
+pub use range_error::RangeError;
 pub use rasterise::{DepthBuffer, rasterise};
 pub use rigid::Rigid;
 pub use tangents::tangents;

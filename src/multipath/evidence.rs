@@ -7,7 +7,8 @@
 //! zero is exact.
 
 use super::RangeBias;
-use crate::geometry::{MotionEquations, Pose, RayGrid, cell_of, point_to_plane_row};
+use super::range_error::range_error;
+use crate::geometry::{MotionEquations, Pose, RangeError, RayGrid, cell_of, point_to_plane_row};
 use crate::interreflection::WhiteLevel;
 use crate::robust::{Tukey, median_absolute_deviation};
 use depth_camera::Image;
@@ -59,35 +60,61 @@ const ROUNDS: usize = 15;
 
 /// A patch of a view on the model.
 #[derive(Clone, Copy)]
-struct Sample {
-    place: [i32; 3],
-    point: Point3<f64>,
-    normal: Vector3<f64>,
-    cosine: f64,
+pub(super) struct Sample {
+    pub(super) place: [i32; 3],
+    pub(super) point: Point3<f64>,
+    pub(super) normal: Vector3<f64>,
+    pub(super) cosine: f64,
+    /// How far it is from the camera, metres.
+    pub(super) range_m: f64,
     /// Bias along the normal for each unit of strength, metres.
-    beta_m: f64,
+    pub(super) beta_m: f64,
     /// How deep below the model's surface it lies, metres.
-    depth_m: f64,
+    pub(super) depth_m: f64,
 }
 
-/// Compares views of a model that were fused with the multipath of `white`; `signed_distance` gives distance (m, positive
-/// outside) and gradient of the model at a point of the world. `None` where too little was seen.
-pub fn evidence(
-    views: &[Seen],
-    rays: &RayGrid,
-    white: Option<WhiteLevel>,
-    signed_distance: impl Fn(&Point3<f64>) -> Option<(f64, Vector3<f64>)> + Sync,
-) -> Option<Evidence> {
-    let views: Vec<Vec<Sample>> = views
-        .par_iter()
-        .map(|view| samples(view, rays, white, &signed_distance))
-        .collect();
-    let means = place_means(&views);
-    let (mut x, mut y) = (Vec::new(), Vec::new());
-    for view in &views {
-        without_motion(view, &means, &mut x, &mut y);
+/// The views of a model, patch by patch.
+pub struct Compared {
+    views: Vec<Vec<Sample>>,
+}
+
+impl Compared {
+    /// Views of a model that were fused with the multipath of `white`; `signed_distance` gives distance (m, positive
+    /// outside) and gradient of the model at a point of the world.
+    pub(super) fn new(
+        views: &[Seen],
+        rays: &RayGrid,
+        white: Option<WhiteLevel>,
+        signed_distance: impl Fn(&Point3<f64>) -> Option<(f64, Vector3<f64>)> + Sync,
+    ) -> Self {
+        let of_view = |view: &Seen| samples(view, rays, white, &signed_distance);
+        Compared {
+            views: views.par_iter().map(of_view).collect(),
+        }
     }
-    robust_slope(&x, &y)
+
+    /// What they tell of the strength of multipath; `None` where too little was seen.
+    pub fn evidence(&self) -> Option<Evidence> {
+        let means = place_means(&self.views);
+        let (mut x, mut y) = (Vec::new(), Vec::new());
+        for view in &self.views {
+            without_motion(view, &means, &mut x, &mut y);
+        }
+        robust_slope(&x, &y)
+    }
+
+    /// The error that depends on range alone which they still show; `None` if it is not to be believed.
+    pub fn range_error(&self) -> Option<RangeError> {
+        range_error(&self.views)
+    }
+
+    /// The same views with an error of range taken off.
+    pub fn without(mut self, error: &RangeError) -> Self {
+        for sample in self.views.iter_mut().flatten() {
+            sample.depth_m -= error.at_m(sample.range_m) * sample.cosine;
+        }
+        self
+    }
 }
 
 fn samples(
@@ -122,12 +149,14 @@ fn samples(
         }
         let point = Point3::from(point / f64::from(n));
         let normal = normal.try_normalize(0.0)?;
-        let cosine = normal.dot(&(eye - point.coords).try_normalize(0.0)?);
+        let towards = eye - point.coords;
+        let cosine = normal.dot(&towards.try_normalize(0.0)?);
         (cosine >= MIN_COSINE).then(|| Sample {
             place: cell_of(&point, PLACE_M),
             point,
             normal,
             cosine,
+            range_m: towards.norm(),
             beta_m: bounce.bias_by_strength_m(white) * cosine,
             depth_m: below / f64::from(n),
         })

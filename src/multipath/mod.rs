@@ -17,9 +17,11 @@ mod bounce;
 mod evidence;
 mod params;
 mod range_bias;
+mod range_error;
+mod range_spline;
 mod search;
 
-pub use evidence::{Evidence, Seen};
+pub use evidence::{Compared, Evidence, Seen};
 pub use params::MultipathParams;
 pub use range_bias::RangeBias;
 pub use search::{NextWhite, WhiteSearch};
@@ -32,7 +34,6 @@ use crate::interreflection::{Lit, LitScene, PatchGrid, Radiances, WhiteLevel, re
 use crate::shading::{Calibration, NearLight};
 use bounce::Bounce;
 use depth_camera::{CameraInfo, Frame, Image, LightKind, Sensor};
-use evidence::evidence;
 use nalgebra::{Point3, Vector3};
 
 /// The strength of multipath, 1/(π white level); no white level is no multipath.
@@ -131,14 +132,14 @@ impl Multipath {
     }
 
     /// Compares the views of a scan that was fused with the multipath of `white`; `signed_distance` gives distance (m, positive
-    /// outside) and gradient of the model at a point of the world. `None` where too little was seen.
-    pub fn evidence(
+    /// outside) and gradient of the model at a point of the world.
+    pub fn compare(
         &self,
         views: &[Seen],
         white: Option<WhiteLevel>,
         signed_distance: impl Fn(&Point3<f64>) -> Option<(f64, Vector3<f64>)> + Sync,
-    ) -> Option<Evidence> {
-        evidence(views, self.grid.rays(), white, signed_distance)
+    ) -> Compared {
+        Compared::new(views, self.grid.rays(), white, signed_distance)
     }
 
     /// A depth image (metres, 0 is none) with its bias changed from that of one white level to that of another; `None`

@@ -1,11 +1,12 @@
-//! What has to be known of a sensor before its IR values measure light.
+//! What has to be known of a sensor before its IR values measure light and its depth distance.
 
 use super::{FlatField, NearLight};
+use crate::geometry::RangeError;
 use depth_camera::{CameraInfo, Sensor};
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-/// Response, flat field and noise of one sensor's IR image.
+/// Response, flat field and noise of one sensor's IR image, and what its depth gets wrong.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -15,6 +16,9 @@ pub struct Calibration {
     /// about (5, 4). The camera's intrinsics are those of the depth image.
     #[serde(default)]
     pub ir_offset_px: [f64; 2],
+    /// Measured error of the depth by range alone, of a Kinect II: points of range and how much too long it is, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_error_m: Option<RangeError>,
     /// How the lens darkens the image towards its corners.
     pub flat_field: FlatField,
     /// The light's lobe and place.
@@ -154,6 +158,9 @@ impl Calibration {
             if !(-2.0..=2.0).contains(&value) {
                 return Err(format!("light.position_m holds {value}, must be -2 to 2"));
             }
+        }
+        if let Some(error) = &self.range_error_m {
+            error.validate("range_error_m")?;
         }
         match self.light.white_level {
             Some(level) if !(level > 1e-4 && level <= 1e3) => Err(format!(

@@ -97,6 +97,8 @@ fn the_strength_of_multipath_is_measured_into_its_file() {
     assert_says(&measured, 0, &[]);
     let device = DeviceCalibration::read(&folder.join("simulated-1.toml")).unwrap();
     assert!(device.light.white_level.is_some());
+    // The demo's sensor has no error by range.
+    assert_eq!(device.range_error_m, None);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `relief calibrate depth`: how bright white is, which tells how strong multipath is.
+//! `relief calibrate depth`: how bright white is, which tells how strong multipath is, and what depth gets wrong by range alone.
 
 use super::{
     DepthArgs, check_beforehand, check_wanted, conclude, measured_session, merge, next_frame, open,
@@ -15,7 +15,7 @@ use relief::{
         CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, Measurement, Overrides,
         calibration_path, find_calibration,
     },
-    depth_correction::{DepthCorrection, MeasuredWhite},
+    depth_correction::{DepthCorrection, MeasuredDepth},
     fusion::{DepthNoise, Fusion},
     geometry::CameraModel,
     shading::{Calibration, LightCalibration},
@@ -42,9 +42,9 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
     let serial = args.file.serial.clone().unwrap_or(info.serial.clone());
     let path = calibration_path(&folder, &serial)?;
     let mut device = DeviceCalibration::new(serial, info.sensor);
-    let key = CalibrationKey::LightWhiteLevel;
     if !args.file.dry_run {
-        check_beforehand(&path, &device, &[key], args.file.replace)?;
+        let keys = [CalibrationKey::LightWhiteLevel, CalibrationKey::RangeError];
+        check_beforehand(&path, &device, &keys, args.file.replace)?;
     }
     let places = CalibrationPlaces {
         given: path.exists().then_some(path.as_path()),
@@ -67,21 +67,25 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
                 fusion.fuse(depth_m, corrected.device_time_secs);
             }
         }
-        Ok(correction.measure_white(&fusion))
+        Ok(correction.measure(&fusion))
     })?;
     let measured = measured.context(
         "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared",
     )?;
     check_wanted(stop)?;
     device.light.white_level = Some(measured.white.0);
+    device.range_error_m.clone_from(&measured.range_error);
+    let keys: Vec<CalibrationKey> = device.keys().collect();
     let write = || {
-        let measurement = measurement(&measured, &args.session)?;
-        device.measured.insert(key, measurement);
+        for key in &keys {
+            let measurement = measurement(*key, &measured, &args.session)?;
+            device.measured.insert(*key, measurement);
+        }
         merge(&path, &device, &info, args.file.replace)
     };
     let written = (!args.file.dry_run).then(write).transpose();
     let printed = print(&measured);
-    conclude(key, &path, written, printed)
+    conclude(&keys, &path, written, printed)
 }
 
 /// A calibration that leaves to the scan how bright white is.
@@ -96,7 +100,7 @@ fn without_white_level(calibration: Calibration) -> Calibration {
     }
 }
 
-fn print(measured: &MeasuredWhite) -> io::Result<()> {
+fn print(measured: &MeasuredDepth) -> io::Result<()> {
     let white = measured.white.0;
     writeln!(
         Stdout,
@@ -108,17 +112,32 @@ fn print(measured: &MeasuredWhite) -> io::Result<()> {
         "views of one place then disagree by {:.2} mm, root mean square over {} patches",
         1e3 * measured.evidence.residual_m,
         measured.evidence.n_patches
-    )
+    )?;
+    match &measured.range_error {
+        Some(error) => writeln!(
+            Stdout,
+            "by its range alone depth is up to {:.1} mm off from {:.2} to {:.2} m",
+            1e3 * error.largest_m(),
+            error.from_m(),
+            error.to_m()
+        ),
+        None => writeln!(Stdout, "by its range alone depth shows no (further) error"),
+    }
 }
 
-fn measurement(measured: &MeasuredWhite, session: &Path) -> anyhow::Result<Measurement> {
+fn measurement(
+    key: CalibrationKey,
+    measured: &MeasuredDepth,
+    session: &Path,
+) -> anyhow::Result<Measurement> {
     let session = measured_session(session_name(session), session)?;
     let half_interval = INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0;
-    let figures = [
-        ("half_interval_95", half_interval),
-        ("disagreement_m", measured.evidence.residual_m),
-        ("patches", measured.evidence.n_patches as f64),
-    ];
-    let figures: BTreeMap<_, _> = figures.map(|(name, value)| (name.to_owned(), value)).into();
+    let mut figures = BTreeMap::from([
+        ("disagreement_m".to_owned(), measured.evidence.residual_m),
+        ("patches".to_owned(), measured.evidence.n_patches as f64),
+    ]);
+    if key == CalibrationKey::LightWhiteLevel {
+        figures.insert("half_interval_95".to_owned(), half_interval);
+    }
     Ok(Measurement::new(SystemTime::now(), vec![session], figures))
 }

@@ -105,7 +105,10 @@ impl Findings {
                     add(&format!("{name}_gamma_times_exponent"), law.product.value);
                 }
             }
-            CalibrationKey::LightWhiteLevel | CalibrationKey::Noise | CalibrationKey::IrOffset => {}
+            CalibrationKey::LightWhiteLevel
+            | CalibrationKey::Noise
+            | CalibrationKey::IrOffset
+            | CalibrationKey::RangeError => {}
         }
         for (scan, fit) in self.scans.iter().zip(&self.estimate.fits) {
             add(&format!("{}_deviation", scan.name), fit.deviation);

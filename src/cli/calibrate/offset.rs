@@ -58,7 +58,7 @@ pub fn offset(args: &OffsetArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
     };
     let written = is_written.then(write).transpose();
     let printed = print(&estimate, info.sensor);
-    conclude(key, &path, written, printed)
+    conclude(&[key], &path, written, printed)
 }
 
 /// A Kinect I: the images under the lamp, each with the depth before the projector was covered.

@@ -157,6 +157,14 @@ impl FusionStage {
         let Some(revised) = revised else {
             return;
         };
+        if let Some(error) = revised.range_error() {
+            tracing::warn!(
+                largest_mm = 1e3 * error.largest_m(),
+                from_m = error.from_m(),
+                to_m = error.to_m(),
+                "depth is off by its range: `relief calibrate depth` with a recording of this scan lets tracking know"
+            );
+        }
         for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
             let time_secs = snapshot.device_time_secs;
             let tracked = &snapshot.world_from_camera;

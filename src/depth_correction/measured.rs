@@ -1,33 +1,35 @@
-//! How strong multipath is, as the views of a scan tell it.
+//! What a device's depth gets wrong, as the views of a scan tell it.
 
 use super::DepthCorrection;
-use super::revision::Settled;
+use super::revision::{Revised, Settled};
 use crate::{
     fusion::Fusion,
-    geometry::Pose,
+    geometry::{Pose, RangeError},
     interreflection::WhiteLevel,
-    multipath::{Evidence, RangeBias, Seen},
+    multipath::{Compared, Evidence, RangeBias, Seen},
 };
 use depth_camera::Image;
 
-/// A device's white level as one scan tells it.
-#[derive(Clone, Copy, Debug)]
-pub struct MeasuredWhite {
+/// What one scan tells of a device's depth.
+#[derive(Clone, Debug)]
+pub struct MeasuredDepth {
     /// The white level.
     pub white: WhiteLevel,
     /// Its standard deviation as a share of it: what views tell and what is plausible together.
     pub relative_sigma: f64,
     /// How well views agree with it.
     pub evidence: Evidence,
+    /// The error by range alone, with what was known of it before; `None` if the scan shows no more of one.
+    pub range_error: Option<RangeError>,
 }
 
 /// Most frames whose views are compared at the end of a scan.
 const MAX_VIEWS: usize = 60;
 
 impl DepthCorrection {
-    /// The white level of the device by a scan that was fused as corrected here, refined by how its views agree; `None` where
-    /// views agree best without multipath, or show none.
-    pub fn measure_white(&self, fusion: &Fusion) -> Option<MeasuredWhite> {
+    /// What the depth of the device gets wrong by a scan that was fused as corrected here, refined by how its views agree; `None`
+    /// where they agree best without multipath, or show none.
+    pub fn measure(&self, fusion: &Fusion) -> Option<MeasuredDepth> {
         let Settled {
             revised,
             search,
@@ -37,17 +39,25 @@ impl DepthCorrection {
         let white = revised
             .as_ref()
             .map_or(self.live, |revised| revised.known.white)?;
-        let evidence = evidence.or_else(|| self.evidence(fused_again, Some(white)))?;
-        Some(MeasuredWhite {
+        let asked = || {
+            let views = self.compared(fused_again, Some(white))?;
+            self.evidence(&views, Some(white))
+        };
+        let shown = revised.as_ref().and_then(Revised::range_error);
+        Some(MeasuredDepth {
             white,
             relative_sigma: search?.relative_sigma(white),
-            evidence,
+            evidence: evidence.or_else(asked)?,
+            range_error: shown.map(|shown| match &self.range {
+                Some(before) => before.plus(shown),
+                None => shown.clone(),
+            }),
         })
     }
 
-    /// What the views of a scan that was fused with a white level tell of it.
-    pub(super) fn evidence(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> Option<Evidence> {
-        let multipath = self.multipath.as_ref().filter(|_| !self.is_measured)?;
+    /// The views of a scan of a sensor with multipath that was fused with a white level.
+    pub(super) fn compared(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> Option<Compared> {
+        let multipath = self.multipath.as_ref()?;
         let frames = fusion.keyframes();
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
         let views: Vec<(Image<f32>, &Pose, RangeBias)> = frames
@@ -69,7 +79,12 @@ impl DepthCorrection {
                 bias,
             })
             .collect();
-        let evidence = multipath.evidence(&seen, white, |point| fusion.signed_distance(point))?;
+        Some(multipath.compare(&seen, white, |point| fusion.signed_distance(point)))
+    }
+
+    /// What views that were fused with a white level tell of it.
+    pub(super) fn evidence(&self, views: &Compared, white: Option<WhiteLevel>) -> Option<Evidence> {
+        let evidence = views.evidence()?;
         tracing::info!(
             white_level = white.map(|white| white.0),
             strength_change = evidence.slope,
