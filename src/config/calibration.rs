@@ -174,8 +174,12 @@ impl FoundCalibration {
         if info.ir_full_scale.is_none() {
             return Vec::new();
         }
+        let is_asked = |key: CalibrationKey| {
+            key != CalibrationKey::RangeError || info.sensor == Sensor::Kinect2
+        };
         let origins = self.origins.iter();
         let origins: Vec<_> = origins
+            .filter(|(key, _)| is_asked(**key))
             .map(|(key, origin)| format!("{key}: {origin}"))
             .collect();
         tracing::info!(file = %self.source, keys = origins.join(", "), "calibration");

@@ -118,6 +118,9 @@ impl DeviceCalibration {
         if let Some(key) = self.measured.keys().find(|key| !self.holds(**key)) {
             return Err(format!("measured.{key} is there, but {key} is not"));
         }
+        if self.sensor == Sensor::Kinect1 && self.range_error_m.is_some() {
+            return Err("range_error_m is there, but only a kinect2's is known".to_owned());
+        }
         let (calibration, _) = self.over(Calibration::shipped(self.sensor)?);
         calibration.validate()
     }
@@ -292,6 +295,11 @@ mod tests {
                 "gamma = 1.0",
                 "",
                 "measured.gamma is there, but gamma is not",
+            ),
+            (
+                "\"kinect2\"\n",
+                "\"kinect1\"\nrange_error_m = [[0.5, 0.001]]\n",
+                "only a kinect2's is known",
             ),
             ("kinect2", "kinect3", "sensor is \"kinect3\", must be"),
             ("measured.gamma", "measured.gain", "gain"),

@@ -1,5 +1,5 @@
-//! Frames that are fused again with their rows put right, or without an error of range, lie elsewhere, and carry those after them along; where tracking broke, and the
-//! camera was found in another place, those near it do.
+//! Frames that are fused again with their rows put right, or without an error of range, lie elsewhere, and carry those after them
+//! along; where tracking broke, and the camera was found in another place, those near it do.
 
 use super::revision::TRACKED_ANEW_REACH;
 use crate::geometry::{Pose, motion_between};

@@ -13,45 +13,54 @@ use depth_camera::Image;
 /// What one scan tells of a device's depth.
 #[derive(Clone, Debug)]
 pub struct MeasuredDepth {
+    /// How bright white is; `None` where views agree best without multipath, or show none.
+    pub white: Option<MeasuredWhite>,
+    /// The error by range alone: what was known of it and what the scan shows beside; `None` if there is neither.
+    pub range_error: Option<RangeError>,
+}
+
+/// A device's white level as one scan tells it.
+#[derive(Clone, Copy, Debug)]
+pub struct MeasuredWhite {
     /// The white level.
     pub white: WhiteLevel,
     /// Its standard deviation as a share of it: what views tell and what is plausible together.
     pub relative_sigma: f64,
     /// How well views agree with it.
     pub evidence: Evidence,
-    /// The error by range alone, with what was known of it before; `None` if the scan shows no more of one.
-    pub range_error: Option<RangeError>,
 }
 
 /// Most frames whose views are compared at the end of a scan.
 const MAX_VIEWS: usize = 60;
 
 impl DepthCorrection {
-    /// What the depth of the device gets wrong by a scan that was fused as corrected here, refined by how its views agree; `None`
-    /// where they agree best without multipath, or show none.
-    pub fn measure(&self, fusion: &Fusion) -> Option<MeasuredDepth> {
-        let Settled {
-            revised,
-            search,
-            evidence,
-        } = self.settled(fusion, &|_| true);
-        let fused_again = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
-        let white = revised
-            .as_ref()
-            .map_or(self.live, |revised| revised.known.white)?;
+    /// What the depth of the device gets wrong by a scan that was fused as corrected here, refined by how its views agree.
+    pub fn measure(&self, fusion: &Fusion) -> MeasuredDepth {
+        let settled = self.settled(fusion, &|_| true);
+        let shown = settled.revised.as_ref().and_then(Revised::range_error);
+        let range_error = match (&self.range, shown) {
+            (Some(known), Some(shown)) => Some(known.plus(shown)),
+            (known, shown) => known.as_ref().or(shown).cloned(),
+        };
+        MeasuredDepth {
+            white: self.settled_white(fusion, settled),
+            range_error,
+        }
+    }
+
+    /// The white level that revising a scan came to.
+    fn settled_white(&self, fusion: &Fusion, settled: Settled) -> Option<MeasuredWhite> {
+        let revised = settled.revised.as_ref();
+        let fused_again = revised.map_or(fusion, |revised| &revised.fusion);
+        let white = revised.map_or(self.live, |revised| revised.known.white)?;
         let asked = || {
             let views = self.compared(fused_again, Some(white))?;
             self.evidence(&views, Some(white))
         };
-        let shown = revised.as_ref().and_then(Revised::range_error);
-        Some(MeasuredDepth {
+        Some(MeasuredWhite {
             white,
-            relative_sigma: search?.relative_sigma(white),
-            evidence: evidence.or_else(asked)?,
-            range_error: shown.map(|shown| match &self.range {
-                Some(before) => before.plus(shown),
-                None => shown.clone(),
-            }),
+            relative_sigma: settled.search?.relative_sigma(white),
+            evidence: settled.evidence.or_else(asked)?,
         })
     }
 

@@ -12,7 +12,7 @@ mod revision;
 #[cfg(test)]
 mod tests;
 
-pub use measured::MeasuredDepth;
+pub use measured::{MeasuredDepth, MeasuredWhite};
 pub use revision::Revised;
 
 use crate::{

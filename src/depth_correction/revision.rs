@@ -53,8 +53,8 @@ pub(super) struct Settled {
 /// The first so many revisions free depth of multipath on the model, whatever the views tell: the first model still shows what the
 /// live prediction left.
 const MODEL_ROUNDS: usize = 2;
-/// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still show of it is noise:
-/// with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
+/// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still
+/// show of it is noise: with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
 const SENSOR_ROUNDS: usize = 3;
 /// A revision that loses more than this share of the frames is not used.
 const MAX_LOST_SHARE: f64 = 0.05;
@@ -95,22 +95,7 @@ impl DepthCorrection {
             );
             let mut has_more = has_multipath && round < MODEL_ROUNDS;
             let asks_sensor = round < SENSOR_ROUNDS;
-            if let Some(shown) = asks_sensor.then(|| self.field(current)).flatten() {
-                has_more = true;
-                let further = shown.in_full();
-                known.field = Some(match &known.field {
-                    Some(before) => before.plus(&further),
-                    None => further,
-                });
-            }
-            if let Some(further) = asks_sensor.then(|| self.shutter(current)).flatten() {
-                has_more = true;
-                known.shutter = Some(
-                    known
-                        .shutter
-                        .map_or(further, |before| before.plus(&further)),
-                );
-            }
+            has_more |= asks_sensor && self.add_what_frames_show(current, &mut known);
             // A scan that shows none at first shows none later, and asking takes a second.
             let may_show_range = revised.is_none() || known.range.is_some();
             let asks_range = asks_sensor && self.fusion.range_error && may_show_range;
@@ -118,15 +103,9 @@ impl DepthCorrection {
             let is_asked = has_multipath && (asks_range || asks_white);
             let compared = is_asked.then(|| self.compared(current, known.white));
             let mut views = compared.flatten();
-            let shown = views.as_ref().filter(|_| asks_range);
-            if let Some(further) = shown.and_then(Compared::range_error) {
-                has_more = true;
-                views = views.map(|views| views.without(&further));
-                known.range = Some(match &known.range {
-                    Some(before) => before.plus(&further),
-                    None => further,
-                });
-            }
+            let known_range = known.range.clone();
+            let has_range = asks_range && add_what_views_show(&mut views, &mut known);
+            has_more |= has_range;
             if revised.is_some() {
                 told = views
                     .filter(|_| asks_white)
@@ -140,9 +119,18 @@ impl DepthCorrection {
             if !has_more {
                 break;
             }
-            match self.fuse_again(fusion, revised.as_ref(), known, work, goes_on) {
+            let without_range = has_range.then(|| Known {
+                range: known_range,
+                ..known.clone()
+            });
+            let fuse = |known| self.fuse_again(fusion, revised.as_ref(), known, work, goes_on);
+            match fuse(known).or_else(|| fuse(without_range?)) {
                 Some(again) => (revised, told) = (Some(again), None),
-                None => break,
+                None => {
+                    // With an error of range taken off they tell of a scan that there is not.
+                    told = told.filter(|_| !has_range);
+                    break;
+                }
             }
         }
         Settled {
@@ -150,6 +138,22 @@ impl DepthCorrection {
             search,
             evidence: told,
         }
+    }
+
+    /// Adds to what is known of a Kinect I what the frames of a scan still show of its slow error and of its rows; whether they do.
+    fn add_what_frames_show(&self, fusion: &Fusion, known: &mut Known) -> bool {
+        let (field, shutter) = (self.field(fusion), self.shutter(fusion));
+        let shows = field.is_some() || shutter.is_some();
+        if let Some(shown) = field {
+            let further = shown.in_full();
+            let before = known.field.as_ref();
+            known.field = Some(before.map_or_else(|| further.clone(), |b| b.plus(&further)));
+        }
+        if let Some(further) = shutter {
+            let before = known.shutter;
+            known.shutter = Some(before.map_or(further, |before| before.plus(&further)));
+        }
+        shows
     }
 
     /// The sensor's slow error that the frames of a scan still show.
@@ -249,4 +253,15 @@ impl DepthCorrection {
             known,
         })
     }
+}
+
+/// Takes off views what they still show of an error by range, and adds it to what is known; whether they do.
+fn add_what_views_show(views: &mut Option<Compared>, known: &mut Known) -> bool {
+    let Some(further) = views.as_ref().and_then(Compared::range_error) else {
+        return false;
+    };
+    *views = views.take().map(|views| views.without(&further));
+    let before = known.range.as_ref();
+    known.range = Some(before.map_or_else(|| further.clone(), |b| b.plus(&further)));
+    true
 }

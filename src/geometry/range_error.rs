@@ -18,6 +18,8 @@ const MAX_POINTS: usize = 1000;
 const MAX_RANGE_M: f64 = 20.0;
 /// Larger errors are a mistake of units, metres.
 const MAX_ERROR_M: f64 = 0.1;
+/// Within so much beyond the ends of what was measured later it fades out, metres.
+const FADE_M: f64 = 0.1;
 /// Steps of a table that is straight between them, metres.
 const TABLE_STEP_M: f64 = 0.005;
 
@@ -46,13 +48,19 @@ impl RangeError {
         }
     }
 
-    /// This error and another one that was measured with it taken off.
+    /// This error and another one that was measured with it taken off, which fades out beyond the ranges it was measured at.
     pub fn plus(&self, further: &RangeError) -> Self {
+        let faded = [further.from_m() - FADE_M, further.to_m() + FADE_M];
         let both = self.points.iter().chain(&further.points);
         let mut ranges: Vec<f64> = both.map(|[range, _]| *range).collect();
+        ranges.extend(faded.map(|range| range.clamp(0.0, MAX_RANGE_M)));
         ranges.sort_by(f64::total_cmp);
         ranges.dedup();
-        let sum = |range| [range, self.at_m(range) + further.at_m(range)];
+        let sum = |range: f64| {
+            let beyond = (further.from_m() - range).max(range - further.to_m());
+            let left = 1.0 - (beyond / FADE_M).clamp(0.0, 1.0);
+            [range, self.at_m(range) + left * further.at_m(range)]
+        };
         RangeError::through(ranges.into_iter().map(sum).collect())
     }
 
@@ -144,8 +152,16 @@ mod tests {
         }
         assert_eq!(error.largest_m(), 0.003);
         let both = error.plus(&RangeError::through(vec![[0.75, 0.002], [2.0, 0.004]]));
-        for range in [0.3, 0.6, 0.75, 0.9, 1.5, 3.0] {
-            let further = 0.002 + 0.002 * ((range - 0.75f64) / 1.25).clamp(0.0, 1.0);
+        for (range, further) in [
+            (0.3, 0.0),
+            (0.65, 0.0),
+            (0.7, 0.001),
+            (0.75, 0.002),
+            (1.5, 0.0032),
+            (2.0, 0.004),
+            (2.05, 0.002),
+            (3.0, 0.0),
+        ] {
             let expected = error.at_m(range) + further;
             assert!((both.at_m(range) - expected).abs() < 1e-12, "{range}");
         }

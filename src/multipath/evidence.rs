@@ -65,7 +65,7 @@ pub(super) struct Sample {
     pub(super) point: Point3<f64>,
     pub(super) normal: Vector3<f64>,
     pub(super) cosine: f64,
-    /// How far it is from the camera, metres.
+    /// How far from the camera it was measured, with its multipath, metres.
     pub(super) range_m: f64,
     /// Bias along the normal for each unit of strength, metres.
     pub(super) beta_m: f64,
@@ -156,7 +156,7 @@ fn samples(
             point,
             normal,
             cosine,
-            range_m: towards.norm(),
+            range_m: towards.norm() + f64::from(bounce.bias_m(white)),
             beta_m: bounce.bias_by_strength_m(white) * cosine,
             depth_m: below / f64::from(n),
         })

@@ -16,7 +16,10 @@ use crate::geometry::{MotionEquations, RangeError, point_to_plane_row};
 use crate::robust::{Tukey, median_absolute_deviation};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
-use std::{collections::BTreeMap, ops::Range};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::Range,
+};
 
 /// How far a wiggle may be off before anything is known, metres.
 const PRIOR_M: f64 = 0.01;
@@ -94,8 +97,11 @@ struct Projected<'a> {
 impl<'a> Differences<'a> {
     fn new(views: &'a [Vec<Sample>]) -> Option<Self> {
         let mut n_views: BTreeMap<[i32; 4], usize> = BTreeMap::new();
-        for sample in views.iter().flatten() {
-            *n_views.entry(place(sample)).or_default() += 1;
+        for view in views.iter().filter(|view| view.len() >= MIN_PATCHES) {
+            let places: BTreeSet<[i32; 4]> = view.iter().map(place).collect();
+            for place in places {
+                *n_views.entry(place).or_default() += 1;
+            }
         }
         n_views.retain(|_, n| *n >= MIN_VIEWS);
         let shared = n_views.keys().enumerate();
@@ -300,7 +306,7 @@ mod tests {
                 let normal = tilt * Vector3::z();
                 let point = Point3::new(x, y, 0.1 * scattered(k, 0.381_966));
                 let towards = eye - point;
-                let cosine = normal.dot(&towards.normalize());
+                let cosine = normal.dot(&towards) / towards.norm();
                 let beta_m = 0.002 * (1.0 + scattered(k, 0.11)) / cosine.max(0.3) * cosine;
                 let surface_m = 0.003 * scattered(k, 0.27);
                 let noise_m = 0.007 * scattered(view * 400 + k, 0.618_034);

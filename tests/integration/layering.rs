@@ -53,6 +53,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "config",
         &[
+            "geometry",
             "capture",
             "devices",
             "multipath",

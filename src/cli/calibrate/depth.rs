@@ -7,7 +7,7 @@ use crate::cli::{
     run::{Verdict, all_processors, calibration_folder, session_name},
     stdout::Stdout,
 };
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use depth_camera::Sensor;
 use relief::{
     calibrate::INTERVAL_SIGMAS,
@@ -15,8 +15,8 @@ use relief::{
         CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, Measurement, Overrides,
         calibration_path, find_calibration,
     },
-    depth_correction::{DepthCorrection, MeasuredDepth},
-    fusion::{DepthNoise, Fusion},
+    depth_correction::{DepthCorrection, MeasuredDepth, MeasuredWhite},
+    fusion::{DepthNoise, Fusion, FusionParams},
     geometry::CameraModel,
     shading::{Calibration, LightCalibration},
 };
@@ -52,14 +52,18 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
         session: Some(&args.session),
     };
     let calibration = without_white_level(find_calibration(&info, &places)?.calibration);
-    let mut correction = DepthCorrection::new(&info, &calibration, true, &config.fusion);
+    let params = FusionParams {
+        range_error: true,
+        ..config.fusion
+    };
+    let mut correction = DepthCorrection::new(&info, &calibration, true, &params);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(all_processors().get())
         .build()?;
     let measured = pool.install(|| -> anyhow::Result<_> {
         let camera_model = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
-        let mut fusion = Fusion::new(camera_model, noise, config.fusion.clone());
+        let mut fusion = Fusion::new(camera_model, noise, params);
         while let Some(frame) = next_frame(camera.as_mut(), stop)? {
             correction.thin_out(&fusion);
             let corrected = correction.correct(&frame).unwrap_or(frame);
@@ -69,12 +73,18 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
         }
         Ok(correction.measure(&fusion))
     })?;
-    let measured = measured.context(
-        "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared",
-    )?;
+    ensure!(
+        measured.white.is_some() || measured.range_error.is_some(),
+        "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared"
+    );
     check_wanted(stop)?;
-    device.light.white_level = Some(measured.white.0);
-    device.range_error_m.clone_from(&measured.range_error);
+    device.light.white_level = measured.white.map(|measured| measured.white.0);
+    let in_file = path.exists().then(|| DeviceCalibration::read(&path));
+    let known = in_file.transpose()?.and_then(|file| file.range_error_m);
+    device.range_error_m = measured
+        .range_error
+        .clone()
+        .filter(|_| known != measured.range_error);
     let keys: Vec<CalibrationKey> = device.keys().collect();
     let write = || {
         for key in &keys {
@@ -101,18 +111,23 @@ fn without_white_level(calibration: Calibration) -> Calibration {
 }
 
 fn print(measured: &MeasuredDepth) -> io::Result<()> {
-    let white = measured.white.0;
-    writeln!(
-        Stdout,
-        "a perfectly white surface a metre before the light shows {white:.3} ± {:.3} of full scale",
-        INTERVAL_SIGMAS * measured.relative_sigma * white
-    )?;
-    writeln!(
-        Stdout,
-        "views of one place then disagree by {:.2} mm, root mean square over {} patches",
-        1e3 * measured.evidence.residual_m,
-        measured.evidence.n_patches
-    )?;
+    match &measured.white {
+        Some(measured) => {
+            let white = measured.white.0;
+            writeln!(
+                Stdout,
+                "a perfectly white surface a metre before the light shows {white:.3} ± {:.3} of full scale",
+                half_interval(measured)
+            )?;
+            writeln!(
+                Stdout,
+                "views of one place then disagree by {:.2} mm, root mean square over {} patches",
+                1e3 * measured.evidence.residual_m,
+                measured.evidence.n_patches
+            )?;
+        }
+        None => writeln!(Stdout, "the session shows no multipath")?,
+    }
     match &measured.range_error {
         Some(error) => writeln!(
             Stdout,
@@ -121,8 +136,13 @@ fn print(measured: &MeasuredDepth) -> io::Result<()> {
             error.from_m(),
             error.to_m()
         ),
-        None => writeln!(Stdout, "by its range alone depth shows no (further) error"),
+        None => writeln!(Stdout, "by its range alone depth is not known to be off"),
     }
+}
+
+/// Of the white level, with 95 %.
+fn half_interval(measured: &MeasuredWhite) -> f64 {
+    INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0
 }
 
 fn measurement(
@@ -131,13 +151,14 @@ fn measurement(
     session: &Path,
 ) -> anyhow::Result<Measurement> {
     let session = measured_session(session_name(session), session)?;
-    let half_interval = INTERVAL_SIGMAS * measured.relative_sigma * measured.white.0;
-    let mut figures = BTreeMap::from([
-        ("disagreement_m".to_owned(), measured.evidence.residual_m),
-        ("patches".to_owned(), measured.evidence.n_patches as f64),
-    ]);
-    if key == CalibrationKey::LightWhiteLevel {
-        figures.insert("half_interval_95".to_owned(), half_interval);
+    let mut figures = BTreeMap::new();
+    let mut state = |name: &str, value: f64| figures.insert(name.to_owned(), value);
+    if let Some(white) = &measured.white {
+        state("disagreement_m", white.evidence.residual_m);
+        state("patches", white.evidence.n_patches as f64);
+        if key == CalibrationKey::LightWhiteLevel {
+            state("half_interval_95", half_interval(white));
+        }
     }
     Ok(Measurement::new(SystemTime::now(), vec![session], figures))
 }

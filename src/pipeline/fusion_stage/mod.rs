@@ -362,7 +362,7 @@ impl FusionStage {
         self.conditions.interrupt();
     }
 
-    /// The frame without multipath, as far as that is known now.
+    /// The frame without the errors of its depth, as far as they are known now.
     fn corrected(&mut self, frame: &Arc<Frame>) -> Arc<Frame> {
         let (correction, pool) = (&mut self.correction, &self.pool);
         correction.thin_out(&self.fusion);
