@@ -73,10 +73,6 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
         }
         Ok(correction.measure(&fusion))
     })?;
-    ensure!(
-        measured.white.is_some() || measured.range_error.is_some(),
-        "the session shows no multipath: scan a matt object on a table from many sides, with depth and infrared"
-    );
     check_wanted(stop)?;
     device.light.white_level = measured.white.map(|measured| measured.white.0);
     let in_file = path.exists().then(|| DeviceCalibration::read(&path));
@@ -86,6 +82,10 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
         .clone()
         .filter(|_| known != measured.range_error);
     let keys: Vec<CalibrationKey> = device.keys().collect();
+    ensure!(
+        !keys.is_empty(),
+        "the session shows no multipath, and nothing new of what range gets wrong: scan a matt object on a table from many sides, with depth and infrared"
+    );
     let write = || {
         for key in &keys {
             let measurement = measurement(*key, &measured, &args.session)?;
