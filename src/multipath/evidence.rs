@@ -47,14 +47,14 @@ const STEP_PX: usize = 4;
 /// Side of the places at which views are compared, metres.
 const PLACE_M: f64 = 0.02;
 /// Fewer views of a place and there is no mean to differ from.
-const MIN_VIEWS: usize = 3;
+pub(super) const MIN_VIEWS: usize = 3;
 /// More slanting patches are not compared.
 const MIN_COSINE: f64 = 0.3;
 /// Fewer patches in a view and its pose takes up all that there is.
-const MIN_PATCHES: usize = 50;
+pub(super) const MIN_PATCHES: usize = 50;
 /// Motions that the patches of a view do not hold are damped by this share of all that they hold. What is predicted and what is found
 /// lose the same motions, so that it need only outweigh rounding.
-const DAMPING: f64 = 1e-9;
+pub(super) const DAMPING: f64 = 1e-9;
 /// Reweighting settles within ten rounds.
 const ROUNDS: usize = 15;
 

@@ -10,7 +10,7 @@
 //! the curve would make of it, so that tracking and fusion hide nothing. Multipath is fitted beside it, for it grows with range too.
 //! A constant cannot be told from motions, nor a share of the range from the scale of the scene: neither is measured.
 
-use super::evidence::Sample;
+use super::evidence::{DAMPING, MIN_PATCHES, MIN_VIEWS, Sample};
 use super::range_spline::RangeSpline;
 use crate::geometry::{MotionEquations, RangeError, point_to_plane_row};
 use crate::robust::{Tukey, median_absolute_deviation};
@@ -25,12 +25,6 @@ use std::{
 const PRIOR_M: f64 = 0.01;
 /// How far the strength of multipath may be off before anything is known; plaster of a Kinect II has about 1.2.
 const PRIOR_STRENGTH: f64 = 3.0;
-/// Fewer views of a place and it says nothing of them.
-const MIN_VIEWS: usize = 3;
-/// Fewer patches in a view and its pose takes up all that there is.
-const MIN_PATCHES: usize = 50;
-/// As [`MotionEquations::new`] has it: it need only outweigh rounding.
-const DAMPING: f64 = 1e-9;
 /// Turns of places and motions until what both explain is gone.
 const SWEEPS: usize = 30;
 /// Rounds of weights.
