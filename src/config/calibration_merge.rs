@@ -231,6 +231,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 mod tests {
     use super::*;
     use crate::config::{MeasuredLight, MeasuredSession, Measurement};
+    use crate::geometry::RangeError;
     use depth_camera::Sensor;
     use std::{
         collections::BTreeMap,
@@ -280,6 +281,39 @@ mod tests {
             ..with_gamma(0.8)
         };
         assert_eq!(DeviceCalibration::read(&path), Ok(expected));
+    }
+
+    #[test]
+    fn an_error_by_range_goes_beside_a_white_level_and_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = calibration_path(folder.path(), "A1.2").unwrap();
+        let shipped = Calibration::shipped(Sensor::Kinect2).unwrap();
+        let device = || DeviceCalibration::new("A1.2".to_owned(), Sensor::Kinect2);
+        let with_error = |points| DeviceCalibration {
+            range_error_m: Some(RangeError::through(points)),
+            ..device()
+        };
+        let mut white = device();
+        white.light.white_level = Some(0.2);
+        merge_into_file(&path, &white, &shipped, false).unwrap();
+        let error = with_error(vec![[0.5, 0.001], [1.0, -0.002]]);
+        let report = merge_into_file(&path, &error, &shipped, false).unwrap();
+        assert_eq!(report.added, [CalibrationKey::RangeError]);
+        let mut both = error.clone();
+        both.light.white_level = Some(0.2);
+        assert_eq!(DeviceCalibration::read(&path), Ok(both));
+
+        let other = with_error(vec![[0.5, 0.003]]);
+        let refused = merge_into_file(&path, &other, &shipped, false).unwrap_err();
+        let refused = refused.to_string();
+        assert!(
+            refused.contains("A1.2.toml: range_error_m is there already"),
+            "{refused}"
+        );
+        let report = merge_into_file(&path, &other, &shipped, true).unwrap();
+        assert_eq!(report.replaced, [CalibrationKey::RangeError]);
+        let read = DeviceCalibration::read(&path).unwrap();
+        assert_eq!(read.range_error_m, other.range_error_m);
     }
 
     #[test]

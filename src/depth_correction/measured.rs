@@ -1,7 +1,7 @@
 //! What a device's depth gets wrong, as the views of a scan tell it.
 
 use super::DepthCorrection;
-use super::revision::{Revised, Settled};
+use super::revision::{Revised, Settled, together};
 use crate::{
     fusion::Fusion,
     geometry::{Pose, RangeError},
@@ -38,10 +38,7 @@ impl DepthCorrection {
     pub fn measure(&self, fusion: &Fusion) -> MeasuredDepth {
         let settled = self.settled(fusion, &|_| true);
         let shown = settled.revised.as_ref().and_then(Revised::range_error);
-        let range_error = match (&self.range, shown) {
-            (Some(known), Some(shown)) => Some(known.plus(shown)),
-            (known, shown) => known.as_ref().or(shown).cloned(),
-        };
+        let range_error = together(self.range.as_ref(), shown, RangeError::plus);
         MeasuredDepth {
             white: self.settled_white(fusion, settled),
             range_error,

@@ -142,17 +142,15 @@ impl DepthCorrection {
 
     /// Adds to what is known of a Kinect I what the frames of a scan still show of its slow error and of its rows; whether they do.
     fn add_what_frames_show(&self, fusion: &Fusion, known: &mut Known) -> bool {
-        let (field, shutter) = (self.field(fusion), self.shutter(fusion));
+        let field = self.field(fusion).map(|shown| shown.in_full());
+        let shutter = self.shutter(fusion);
         let shows = field.is_some() || shutter.is_some();
-        if let Some(shown) = field {
-            let further = shown.in_full();
-            let before = known.field.as_ref();
-            known.field = Some(before.map_or_else(|| further.clone(), |b| b.plus(&further)));
-        }
-        if let Some(further) = shutter {
-            let before = known.shutter;
-            known.shutter = Some(before.map_or(further, |before| before.plus(&further)));
-        }
+        known.field = together(known.field.as_ref(), field.as_ref(), DepthField::plus);
+        known.shutter = together(
+            known.shutter.as_ref(),
+            shutter.as_ref(),
+            RollingShutter::plus,
+        );
         shows
     }
 
@@ -257,11 +255,22 @@ impl DepthCorrection {
 
 /// Takes off views what they still show of an error by range, and adds it to what is known; whether they do.
 fn add_what_views_show(views: &mut Option<Compared>, known: &mut Known) -> bool {
-    let Some(further) = views.as_ref().and_then(Compared::range_error) else {
+    let Some(shown) = views.as_ref().and_then(Compared::range_error) else {
         return false;
     };
-    *views = views.take().map(|views| views.without(&further));
-    let before = known.range.as_ref();
-    known.range = Some(before.map_or_else(|| further.clone(), |b| b.plus(&further)));
+    *views = views.take().map(|views| views.without(&shown));
+    known.range = together(known.range.as_ref(), Some(&shown), RangeError::plus);
     true
+}
+
+/// What was known of an error and what shows beside it, as one; `None` if there is neither.
+pub(super) fn together<T: Clone>(
+    known: Option<&T>,
+    shown: Option<&T>,
+    plus: fn(&T, &T) -> T,
+) -> Option<T> {
+    match (known, shown) {
+        (Some(known), Some(shown)) => Some(plus(known, shown)),
+        (known, shown) => known.or(shown).cloned(),
+    }
 }

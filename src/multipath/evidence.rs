@@ -54,7 +54,7 @@ const MIN_COSINE: f64 = 0.3;
 pub(super) const MIN_PATCHES: usize = 50;
 /// Motions that the patches of a view do not hold are damped by this share of all that they hold. What is predicted and what is found
 /// lose the same motions, so that it need only outweigh rounding.
-pub(super) const DAMPING: f64 = 1e-9;
+const DAMPING: f64 = 1e-9;
 /// Reweighting settles within ten rounds.
 const ROUNDS: usize = 15;
 
@@ -194,14 +194,8 @@ fn without_motion(
     if compared.len() < MIN_PATCHES {
         return;
     }
-    let middle = compared
-        .iter()
-        .map(|(s, _)| s.point.coords)
-        .sum::<Vector3<f64>>()
-        / compared.len() as f64;
-    let row = |sample: &Sample| point_to_plane_row(&(sample.point.coords - middle), &sample.normal);
-    let rows = compared.iter().map(|(sample, _)| (row(sample), 1.0));
-    let Some(motion) = MotionEquations::new(rows.collect(), DAMPING) else {
+    let patches = compared.iter().map(|(sample, _)| (*sample, 1.0));
+    let Some(motion) = motion_of(patches) else {
         return;
     };
     let values = compared
@@ -210,6 +204,19 @@ fn without_motion(
     let (predicted, found): (Vec<f64>, Vec<f64>) = values.unzip();
     x.extend(motion.left_of(&predicted));
     y.extend(motion.left_of(&found));
+}
+
+/// How patches of a view, each with its weight, hold it against motions; `None` if they do not.
+pub(super) fn motion_of<'a>(
+    patches: impl ExactSizeIterator<Item = (&'a Sample, f64)> + Clone,
+) -> Option<MotionEquations> {
+    let points = patches.clone().map(|(sample, _)| sample.point.coords);
+    let middle = points.sum::<Vector3<f64>>() / patches.len() as f64;
+    let rows = patches.map(|(sample, weight)| {
+        let row = point_to_plane_row(&(sample.point.coords - middle), &sample.normal);
+        (row, weight)
+    });
+    MotionEquations::new(rows.collect(), DAMPING)
 }
 
 /// The slope of y over x through the origin, by iteratively reweighted least squares.

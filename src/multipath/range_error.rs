@@ -10,11 +10,11 @@
 //! the curve would make of it, so that tracking and fusion hide nothing. Multipath is fitted beside it, for it grows with range too.
 //! A constant cannot be told from motions, nor a share of the range from the scale of the scene: neither is measured.
 
-use super::evidence::{DAMPING, MIN_PATCHES, MIN_VIEWS, Sample};
+use super::evidence::{MIN_PATCHES, MIN_VIEWS, Sample, motion_of};
 use super::range_spline::RangeSpline;
-use crate::geometry::{MotionEquations, RangeError, point_to_plane_row};
+use crate::geometry::{MotionEquations, RangeError};
 use crate::robust::{Tukey, median_absolute_deviation};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -143,7 +143,10 @@ impl<'a> Differences<'a> {
         let motions: Vec<Option<MotionEquations>> = self
             .views
             .iter()
-            .map(|view| self.motion(view, &weights[view.clone()]))
+            .map(|view| {
+                let samples = self.samples[view.clone()].iter().copied();
+                motion_of(samples.zip(weights[view.clone()].iter().copied()))
+            })
             .collect();
         let mut place_weights = vec![f64::MIN_POSITIVE; self.n_places];
         for (place, weight) in self.places.iter().zip(weights) {
@@ -175,17 +178,6 @@ impl<'a> Differences<'a> {
             found: columns.remove(0),
             unknowns,
         }
-    }
-
-    fn motion(&self, view: &Range<usize>, weights: &[f64]) -> Option<MotionEquations> {
-        let samples = &self.samples[view.clone()];
-        let sum: Vector3<f64> = samples.iter().map(|sample| sample.point.coords).sum();
-        let middle = sum / samples.len() as f64;
-        let row =
-            |sample: &Sample| point_to_plane_row(&(sample.point.coords - middle), &sample.normal);
-        let rows = samples.iter().zip(weights);
-        let rows = rows.map(|(sample, weight)| (row(sample), *weight));
-        MotionEquations::new(rows.collect(), DAMPING)
     }
 
     /// The error that the unknowns make.
@@ -266,7 +258,8 @@ impl Projected<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Point3, Rotation3};
+    use crate::geometry::point_to_plane_row;
+    use nalgebra::{Point3, Rotation3, Vector3};
 
     /// A number from −0.5 to 0.5 for every `k`.
     fn scattered(k: usize, step: f64) -> f64 {
