@@ -2,7 +2,7 @@
 //! along; where tracking broke, and the camera was found in another place, those near it do.
 
 use super::revision::TRACKED_ANEW_REACH;
-use crate::geometry::{Pose, motion_between};
+use crate::geometry::{Pose, motion_between, of_unit_length};
 
 /// How far frames were moved, in order of time.
 #[derive(Default)]
@@ -36,7 +36,7 @@ impl Carry {
         self.0.push(Moved {
             stretch,
             before,
-            by: after * before.inverse(),
+            by: of_unit_length(&(after * before.inverse())),
         });
     }
 }

@@ -2,7 +2,7 @@
 
 use super::fragments::Fragment;
 use super::keyframes::Keyframe;
-use crate::geometry::{Pose, between};
+use crate::geometry::{Pose, between, of_unit_length};
 
 /// A correction of poses that varies with time: known at some times, interpolated between them, constant beyond.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -14,7 +14,12 @@ pub struct PoseCorrection {
 impl PoseCorrection {
     /// The correction that is known at some times (seconds, not decreasing): what is multiplied from the left to a pose.
     pub fn of_knots(knots: Vec<(f64, Pose)>) -> Self {
-        PoseCorrection { knots }
+        let knots = knots.into_iter();
+        PoseCorrection {
+            knots: knots
+                .map(|(time_secs, by)| (time_secs, of_unit_length(&by)))
+                .collect(),
+        }
     }
 
     /// The correction that takes every fragment's anchor to its node (world from anchor); the first frame stays in place. No
@@ -40,12 +45,10 @@ impl PoseCorrection {
                 knots.push((frames[last].time_secs, correction));
             }
         }
-        let mut corrected = PoseCorrection { knots };
+        let corrected = PoseCorrection { knots };
         let to_first = corrected.at(frames[0].time_secs).inverse();
-        for (_, correction) in &mut corrected.knots {
-            *correction = to_first * *correction;
-        }
-        corrected
+        let knots = corrected.knots.into_iter();
+        Self::of_knots(knots.map(|(time, by)| (time, to_first * by)).collect())
     }
 
     /// What a pose of that time is multiplied by from the left.
@@ -65,13 +68,15 @@ impl PoseCorrection {
 
     /// The pose of that time, moved.
     pub fn apply(&self, time_secs: f64, world_from_camera: &Pose) -> Pose {
-        self.at(time_secs) * world_from_camera
+        of_unit_length(&(self.at(time_secs) * world_from_camera))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::{increment, motion_between};
+    use nalgebra::Vector6;
 
     #[test]
     fn corrections_lie_between_their_neighbours_and_end_with_them() {
@@ -89,5 +94,19 @@ mod tests {
             assert!((x_at(time_secs) - x).abs() < 1e-12, "{time_secs}");
         }
         assert_eq!(PoseCorrection::default().at(3.0), Pose::identity());
+    }
+
+    #[test]
+    fn corrections_of_corrected_poses_stay_rigid() {
+        let off = Vector6::new(0.3, -0.5, 0.7, 0.1, 0.2, -0.4);
+        let mut pose = increment(&off);
+        for _ in 0..60 {
+            // As a fragment is taken to its node.
+            let node = increment(&(0.01 * off)) * pose;
+            let correction = PoseCorrection::of_knots(vec![(0.0, node * pose.inverse())]);
+            pose = correction.apply(0.0, &pose);
+        }
+        assert!((pose.rotation.norm() - 1.0).abs() < 1e-12);
+        assert!(motion_between(&pose, &increment(&(1.6 * off))).rotation_rad < 1e-6);
     }
 }

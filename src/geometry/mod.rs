@@ -42,7 +42,7 @@ pub use plane::Plane;
 pub use point_grid::{PointGrid, cell_of};
 pub use pose::{
     Motion, Pose, between, increment, increment_about, increment_of, mean_pose, motion_between,
-    path_length_m, point_to_plane_row,
+    of_unit_length, path_length_m, point_to_plane_row,
 };
 pub use range_error::RangeError;
 pub use rasterise::{DepthBuffer, rasterise};

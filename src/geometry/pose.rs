@@ -70,6 +70,13 @@ pub fn path_length_m<'a>(world_from_cameras: impl IntoIterator<Item = &'a Pose>)
         .sum()
 }
 
+/// A pose whose quaternion has unit length again. A product is off by as much as its factors are together, and so is an inverse: where
+/// poses are multiplied by what was made of poses, time and again, nothing else keeps that from doubling each time.
+pub fn of_unit_length(pose: &Pose) -> Pose {
+    let rotation = UnitQuaternion::new_normalize(pose.rotation.into_inner());
+    Isometry3::from_parts(pose.translation, rotation)
+}
+
 /// The pose halfway between two poses.
 pub fn mean_pose(a: &Pose, b: &Pose) -> Pose {
     between(a, b, 0.5)
