@@ -23,6 +23,9 @@ const NEW: Motion = Motion {
 const MAX_PLACES: usize = 1000;
 /// Loops are looked for so long after the camera came back, seconds: then there is enough to align.
 const DWELL_SECS: f64 = 1.0;
+/// Loops are looked for again when the scan has become so many times as long: that takes as long as the scan took, so that all of it
+/// together stays in proportion to the scan.
+const GROWTH: f64 = 1.5;
 
 /// Where the camera was, and what of it it has left since.
 #[derive(Clone, Debug, Default)]
@@ -32,6 +35,8 @@ pub(super) struct Revisits {
     /// When it came back, until that is seen to.
     back_secs: Option<f64>,
     newest_secs: f64,
+    /// When loops were looked for last.
+    looked_secs: Option<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -79,15 +84,20 @@ impl Revisits {
         self.newest_secs = track.time_secs;
     }
 
-    /// Whether the camera came back long enough ago for loops to be looked for.
+    /// Whether the camera came back long enough ago for loops to be looked for, in a scan that has grown since they were.
     pub(super) fn are_due(&self) -> bool {
-        self.back_secs
-            .is_some_and(|back| self.newest_secs - back >= DWELL_SECS)
+        let first_secs = self.places.first().map_or(0.0, |place| place.time_secs);
+        let has_grown = self
+            .looked_secs
+            .is_none_or(|looked| self.newest_secs - first_secs >= GROWTH * (looked - first_secs));
+        let is_settled = |back: f64| self.newest_secs - back >= DWELL_SECS;
+        has_grown && self.back_secs.is_some_and(is_settled)
     }
 
     /// Loops are being looked for: the next time is when the camera has been somewhere, elsewhere, and back again.
     pub(super) fn see_to(&mut self) {
         self.back_secs = None;
+        self.looked_secs = Some(self.newest_secs);
         for place in &mut self.places {
             place.since = Since::Nothing;
         }
@@ -103,6 +113,7 @@ impl Revisits {
     /// Forgets the places that were found later than `after_secs`, and what happened since.
     pub(super) fn forget_after(&mut self, after_secs: f64) {
         self.places.retain(|place| place.time_secs <= after_secs);
+        self.newest_secs = self.newest_secs.min(after_secs);
         self.see_to();
     }
 }
