@@ -42,6 +42,8 @@ pub struct StatusBody {
     pub kinect1_sequence: Option<SequenceBody>,
     /// The refinement that runs, or the newest.
     pub refinement: RefinementBody,
+    /// How many refinements wait, that one included if it does.
+    pub refinements_waiting: usize,
     /// What is recorded beside the scan.
     pub recording: RecordingBody,
     /// The live mesh.
@@ -252,6 +254,7 @@ impl StatusBody {
                 speckle_limit: sequence.speckle_limit,
             }),
             refinement: refinement(supervisor, scan.as_deref(), worker.running),
+            refinements_waiting: worker.n_waiting,
             recording: RecordingBody::of(&status.recording),
             mesh: status.mesh.map(|mesh| MeshBody {
                 revision: mesh.revision,

@@ -1,9 +1,10 @@
-//! What a scan of the daemon comes to: a refined mesh, whatever was asked of it on the way, or the recorded frames alone.
+//! What a scan of the daemon comes to: a refined mesh, whatever was asked of it on the way, or less where that was asked for.
 
 use crate::{
     daemon_process::Daemon,
     http_client::Client,
-    support::{PROGRAM, Workbench, assert_says, demo, poll},
+    support::{PROGRAM, Workbench, assert_says, demo, poll, prolong},
+    worker::{child_of, send},
 };
 use serde_json::{Value, json};
 use std::{fs, os::unix::fs::symlink, path::Path, process::Command};
@@ -106,6 +107,46 @@ fn a_scan_is_refined_whatever_is_asked_of_it_on_the_way() {
     assert_eq!(again.status, 202);
     // By the same settings it would become the same.
     assert_eq!(again.json()["state"], "done");
+}
+
+#[test]
+fn a_refinement_that_waits_behind_another_can_be_cancelled() {
+    let bench = Workbench::with_frames(1);
+    prolong(&bench.session());
+    // Work enough for the child to be met, which then does nothing for as long as the test takes.
+    let config = "[worker]\nmax_idle_secs = 86400.0\n[refine]\nedge_length_m = 0.0005\n";
+    let config = bench.write("patient.toml", config);
+    let daemon = Daemon::start_in(bench, &["--config", config.to_str().unwrap()]);
+    let client = daemon.client;
+    let scan = || {
+        let id = daemon.scan();
+        daemon.await_surface();
+        ask(client, "finish", "");
+        id
+    };
+    let first = scan();
+    let folder = daemon.bench.path("data/sessions").join(&first);
+    let child = poll("the refinement", || child_of(&folder));
+    assert!(send("-STOP", &child));
+    daemon.await_state("idle");
+    let second = scan();
+    let status = daemon.await_status("the refinement that waits", |status| {
+        status["refinements_waiting"] == 1
+    });
+    assert_eq!(status["refinement"]["scan"], first);
+
+    let session = client.get(&format!("/api/v1/sessions/{second}")).json();
+    let job = session["job"]["id"].as_str().unwrap();
+    let cancelled = client.post(&format!("/api/v1/jobs/{job}/cancel"), "");
+    assert_eq!(cancelled.status, 200);
+    assert_eq!(cancelled.json()["state"], "cancelled");
+    let status = client.status();
+    assert_eq!(status["refinements_waiting"], 0);
+    assert_eq!(status["refinement"]["scan"], first);
+    assert_eq!(status["refinement"]["state"], "running");
+    drop(daemon);
+    // One that was stopped before it had bound itself to the daemon is still there.
+    send("-KILL", &child);
 }
 
 #[test]

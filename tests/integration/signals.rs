@@ -3,7 +3,7 @@
 use crate::{
     daemon_process::Daemon,
     support::{PROGRAM, Workbench, poll, prolong, record, small_camera},
-    worker::child_of,
+    worker::{child_of, send},
 };
 use serde_json::Value;
 use std::{
@@ -121,15 +121,13 @@ fn a_second_signal_ends_a_daemon_whose_refinement_takes_its_time() {
     assert_eq!(daemon.client.post("/api/v1/scan/finish", "").status, 202);
     let scan = daemon.bench.path("data/sessions").join(id);
     let child = poll("the refinement", || child_of(&scan));
-    let child = child.file_name().unwrap();
-    let send = |signal: &str| Command::new("kill").arg(signal).arg(child).status();
-    assert!(send("-STOP").unwrap().success());
+    assert!(send("-STOP", &child));
     daemon.await_state("idle");
     daemon.signal("-TERM");
     daemon.await_state("draining");
     daemon.signal("-TERM");
     let (_bench, status) = daemon.wait();
     // One that was stopped before it had bound itself to the daemon is still there.
-    let _ = send("-KILL");
+    send("-KILL", &child);
     assert_eq!(status.code(), Some(130));
 }

@@ -59,6 +59,13 @@ pub fn child_of(scan: &Path) -> Option<PathBuf> {
     })
 }
 
+/// Sends a signal to such a process; whether it was there.
+pub fn send(signal: &str, process: &Path) -> bool {
+    let pid = process.file_name().unwrap();
+    let sent = Command::new("kill").arg(signal).arg(pid).status();
+    sent.unwrap().success()
+}
+
 fn niceness(process: &Path) -> i32 {
     let stat = fs::read_to_string(process.join("stat")).unwrap();
     let after_name = stat.rsplit_once(") ").unwrap().1;
@@ -118,9 +125,7 @@ fn a_child_that_is_killed_in_the_middle_costs_an_attempt_and_nothing_else() {
     let wish = fs::read_to_string(child.join("oom_score_adj")).unwrap();
     assert_eq!(wish.trim(), "1000", "it is killed before the daemon");
 
-    let pid = child.file_name().unwrap();
-    let killed = Command::new("kill").arg("-9").arg(pid).status().unwrap();
-    assert!(killed.success());
+    assert!(send("-KILL", &child));
     let ended = poll("the end", || {
         let job = worker.of_scan("demo")?;
         job.state.is_ended().then_some(job)

@@ -344,6 +344,72 @@ test('goes on where something cannot be written', { timeout: 60_000, skip: NEEDS
   assert.ok(await page.getByTestId('abandon').isHidden());
 });
 
+test('cancels refinements that run and those that wait', { timeout: 120_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const server = await standIn();
+  t.after(() => server.close());
+  const opened = await openPage(t, browser, server.base);
+  const { page } = opened;
+  const { daemon } = server;
+  // Nothing of what follows hangs on how fast it is done.
+  daemon.refineSecs = 1e6;
+  const scan = async (name) => {
+    await page.getByTestId('label').fill(name);
+    await page.getByTestId('start').click();
+    await state(page, ...SCANNING);
+    const { id } = daemon.scan;
+    await page.getByTestId('stop').click();
+    await state(page, 'idle');
+    return id;
+  };
+  const shown = (told) => page.locator(`#refinement[data-state=${told}]`).waitFor();
+  const progress = page.locator('#refinement-progress');
+  const cancel = page.getByTestId('refinement-cancel');
+  const queue = page.getByTestId('refinement-queue').locator('li:not([hidden])');
+  const ends = async (button, id) => {
+    const [request] = await Promise.all([page.waitForRequest(/\/jobs\/[^/]+\/cancel$/), button.click()]);
+    assert.ok(request.url().endsWith(`/jobs/job-${id}/cancel`), request.url());
+  };
+  let first;
+
+  await t.test('one that waits behind another', async () => {
+    first = await scan('first');
+    await shown('running');
+    assert.equal(await queue.count(), 0, 'nothing waits');
+    const second = await scan('second');
+    const third = await scan('third');
+    await queue.nth(1).waitFor();
+    assert.deepEqual(await queue.locator('span').allInnerTexts(), [`Then second (${second})`, `Then third (${third})`]);
+    await save(page, 'waiting');
+    await ends(queue.first().getByRole('button'), second);
+    await queue.nth(1).waitFor({ state: 'detached' });
+    assert.equal(await queue.locator('span').innerText(), `Then third (${third})`);
+    await ends(queue.getByRole('button'), third);
+    await queue.waitFor({ state: 'detached' });
+    assert.ok(await progress.isVisible(), 'the one that runs goes on');
+    assert.deepEqual(daemon.jobs.map((job) => job.state), ['cancelled', 'cancelled', 'running']);
+  });
+
+  await t.test('the one that runs', async () => {
+    await ends(cancel, first);
+    await shown('cancelled');
+    assert.ok(await cancel.isHidden());
+  });
+
+  await t.test('one that finds no room', async () => {
+    daemon.hasRoomToRefine = false;
+    const fourth = await scan('fourth');
+    await shown('waiting');
+    assert.ok(await progress.isHidden(), 'there is nothing to tell of it');
+    assert.equal(await queue.count(), 0, 'it is told of once');
+    await ends(cancel, fourth);
+    await shown('cancelled');
+    assert.ok(await cancel.isHidden());
+    assert.equal(daemon.jobs[0].state, 'cancelled');
+  });
+
+  assertClean(opened);
+});
+
 test('has every button in reach at any width', { timeout: 120_000 }, async (t) => {
   const opened = await openPage(t, browser, base, { viewport: { width: 1024, height: 768 } });
   const { page } = opened;

@@ -4,7 +4,6 @@ const FRAMES_PER_SEC = 30;
 const SCAN_SECS = 25;
 /** When track is lost and comes back, seconds of scanning. */
 const LOSS = { weak: 7, lost: 8.5, relocalising: 11.5, found: 12.5 };
-const REFINE_SECS = 6;
 const REJECTIONS = ['moving', 'saturated', 'nothing_new'];
 const SCANNED_FILES = ['base.ply', 'trajectory.txt', 'report.html', 'report.json', 'events.jsonl'].map(file);
 const REFINED_FILES = ['refined.ply', 'refined.glb'].map(file);
@@ -39,6 +38,10 @@ export class StandInDaemon {
   jobs = [];
   /** Whether something of the scan cannot be written. */
   hasStorageFailed = false;
+  /** Whether refinements begin; without room for their outputs they wait. */
+  hasRoomToRefine = true;
+  /** How long each refinement takes. */
+  refineSecs = 6;
   #scan = null;
   /** How often each scan was refined, by its id; every time its mesh shows more. */
   refinements = new Map();
@@ -84,17 +87,30 @@ export class StandInDaemon {
     const job = { id: `job-${session.id}`, scan: session.id, submitted_unix_ms: Date.now(), state: 'waiting' };
     this.jobs.unshift(job);
     this.#waiting.push({ session, job });
-    if (this.#refinement.state !== 'running') this.#refineNext();
+    this.#refineNext();
   }
 
+  /** Begins the refinement that waits longest, if one can begin. */
   #refineNext() {
+    if (this.#isRefining || !this.hasRoomToRefine || this.#waiting.length === 0) return;
     const { session, job } = this.#waiting.shift();
     job.state = 'running';
     this.#refinement = { state: 'running', started: Date.now(), session, job };
   }
 
-  cancel() {
-    this.#endRefinement('cancelled');
+  get #isRefining() {
+    return this.#refinement.state === 'running';
+  }
+
+  /** Ends the refinement of this name, which waits or runs. */
+  cancel(id) {
+    const waiting = this.#waiting.find(({ job }) => job.id === id);
+    if (waiting) {
+      waiting.job.state = 'cancelled';
+      this.#waiting = this.#waiting.filter((other) => other !== waiting);
+      if (!this.#isRefining) this.#refinement = { state: 'cancelled', started: 0, ...waiting };
+    } else if (this.#isRefining && this.#refinement.job.id === id) this.#endRefinement('cancelled');
+    else throw new Refused('job_ended', 'the refinement is over');
   }
 
   /** Lets `secs` pass. */
@@ -111,8 +127,8 @@ export class StandInDaemon {
         if (Math.floor(scan.secs / 1.2) > Math.floor((scan.secs - secs) / 1.2)) this.#snapshot(scan.snapshots.length % 4 !== 2);
       }
     }
-    const { state, started, session } = this.#refinement;
-    if (state === 'running' && Date.now() - started > 1000 * REFINE_SECS) {
+    const { started, session } = this.#refinement;
+    if (this.#isRefining && Date.now() - started > 1000 * this.refineSecs) {
       this.refinements.set(session.id, 1 + (this.refinements.get(session.id) ?? 0));
       session.files = [...SCANNED_FILES, ...REFINED_FILES];
       this.#endRefinement('done');
@@ -122,7 +138,7 @@ export class StandInDaemon {
   #endRefinement(state) {
     this.#refinement.state = state;
     this.#refinement.job.state = state;
-    if (this.#waiting.length > 0) this.#refineNext();
+    this.#refineNext();
   }
 
   #finish() {
@@ -222,13 +238,19 @@ export class StandInDaemon {
     return { step, speckle: ['lamp_on', 'uncover'].includes(step) ? 0.03 : 0.17, speckle_limit: 0.1 };
   }
 
+  /** The refinement that runs, else the newest that waits, else the last one. */
+  get #shownRefinement() {
+    const waiting = this.#isRefining ? null : this.#waiting.at(-1);
+    return waiting ? { state: 'waiting', started: 0, ...waiting } : this.#refinement;
+  }
+
   get #refinementStatus() {
-    const { state, started, session, job } = this.#refinement;
-    const share = Math.min(1, (Date.now() - started) / 1000 / REFINE_SECS);
+    const { state, started, session, job } = this.#shownRefinement;
+    const share = Math.min(1, (Date.now() - started) / 1000 / this.refineSecs);
     const isKnown = state === 'running' || state === 'done';
     return {
       state, job: job?.id ?? null, scan: session?.id ?? null, round: isKnown ? [Math.min(4, 1 + Math.floor(4 * share)), 4] : [0, 0], step: isKnown ? Math.floor(28 * share) % 8 : 0,
-      energy_share: isKnown ? 1 - 0.62 * share : null, rmse: state === 'done' ? 0.0182 : null, secs_left: state === 'running' ? REFINE_SECS * (1 - share) : null, message: null,
+      energy_share: isKnown ? 1 - 0.62 * share : null, rmse: state === 'done' ? 0.0182 : null, secs_left: state === 'running' ? this.refineSecs * (1 - share) : null, message: null,
     };
   }
 
@@ -250,7 +272,7 @@ export class StandInDaemon {
       frames: { produced, fused: Math.max(0, produced - paused - lost - inFlight - dropped), lost, without_depth: 0, paused, damaged: 0, dropped, in_flight: inFlight },
       fps: scan ? 29.9 : 0, fitness: this.#fitness, ir_saturated_share: scan ? 0.011 : null,
       snapshots: { accepted, rejected: (scan?.snapshots.length ?? 0) - accepted, wanted: 36 },
-      kinect1_sequence: this.#sequence, refinement: this.#refinementStatus,
+      kinect1_sequence: this.#sequence, refinement: this.#refinementStatus, refinements_waiting: this.#waiting.length,
       recording: { active: Boolean(scan), bytes: produced * 260_000, recorded: produced, dropped: { ir: Math.floor(produced / 200), frames: 0 }, disk_free_bytes: 47e9, disk_floor_bytes: 2e9, reason: null },
       mesh: this.mesh, daemon: { version: '0.1.0', uptime_secs: (Date.now() - this.#started) / 1000, rss_bytes: 412e6, clients: 1, config_error: null },
     };

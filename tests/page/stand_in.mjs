@@ -23,6 +23,7 @@ const SESSION_MESH = /^\/api\/v1\/sessions\/([^/]+)\/mesh$/;
 const MESH = /^\/api\/v1\/meshes\/(base|refined|difference)-(\d+)$/;
 const SESSION_FILE = /^\/api\/v1\/sessions\/([^/]+)\/files\/([a-z.]+)$/;
 const SESSION_REFINE = /^\/api\/v1\/sessions\/([^/]+)\/refine$/;
+const JOB_CANCEL = /^\/api\/v1\/jobs\/([^/]+)\/cancel$/;
 
 /** Starts it; `close()` also cuts the sockets, so that the page sees the daemon go. */
 export async function standIn({ port = 0, sensor = 'kinect2' } = {}) {
@@ -144,8 +145,8 @@ async function act(daemon, request, pathname, finished, response) {
     daemon.refine(session);
     return done();
   }
-  if (/^\/api\/v1\/jobs\/[^/]+\/cancel$/.test(pathname)) {
-    daemon.cancel();
+  if (JOB_CANCEL.test(pathname)) {
+    daemon.cancel(pathname.match(JOB_CANCEL)[1]);
     return done();
   }
   throw new Refused('not_found', `there is nothing at ${pathname}`);

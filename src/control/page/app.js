@@ -129,19 +129,22 @@ async function followPath() {
   }
 }
 
-/** Asks for the finished scans when one may have been added or refined, and tells of one that did not end well. */
+/**
+ * Asks for the finished scans and the refinements when one may have been added or ended, and tells of a scan that did not end well.
+ */
 async function followSessions(scanId) {
   // A scan that is being started is on the list and not yet going on, as one that was interrupted.
   if (status.state === 'warming' && !scanId) return;
   const { state, job } = status.refinement;
   // The next job may run already when the end of one is told: the state is the same, and the job is not.
-  const key = `${scanId}/${status.phase}/${job}/${state}`;
+  const key = `${scanId}/${status.phase}/${job}/${state}/${status.refinements_waiting}`;
   if (key === sessionsKey) return;
   sessionsKey = key;
   try {
     const [ended] = await exported.refresh(scanId);
     showControls();
     stage?.offer(exported.newestRefined);
+    refinement.queue(exported.waiting);
     if (ended) report({ message: describeEnding(ended), code: `scan_${ended.state}` });
   } catch {
     sessionsKey = '';

@@ -52,6 +52,16 @@ export class Exports {
     return (job ? ofJob(job) : refined[0]) ?? null;
   }
 
+  /** Refinements that wait, in the order in which they were asked for, as `{job, name}` with the name of the scan. */
+  get waiting() {
+    const nameOfScan = (scan) => {
+      const session = this.sessions.find(({ id }) => id === scan);
+      return session ? nameOf(session) : scan;
+    };
+    const waiting = this.#jobs.filter(({ state }) => state === 'waiting').reverse();
+    return waiting.map(({ id, scan }) => ({ job: id, name: nameOfScan(scan) }));
+  }
+
   /**
    * Fetches the list; the scan that is still going on is none of them. Returns the scans that failed or were interrupted
    * since it was fetched last, the newest first; the first time the last scan, if it was interrupted.

@@ -1,4 +1,4 @@
-// How far the refinement is.
+// How far the refinement is, and which others wait.
 
 import * as api from './api.js';
 import { duration } from './words.js';
@@ -25,16 +25,19 @@ export class Refinement {
   #progress = document.getElementById('refinement-progress');
   #bar = document.getElementById('refinement-bar');
   #cancel = document.getElementById('refinement-cancel');
+  #queue = document.getElementById('refinement-queue');
   #figures = Object.fromEntries(
     ['round', 'step', 'energy', 'rmse', 'left'].map((name) => [name, document.getElementById(`refinement-${name}`)]),
   );
   #job = null;
   /** Whether the scan that goes on, or was seen last, has no shading image. */
   #lacksImages = false;
+  #report;
 
   /** `report(error)` is told of what the daemon refuses. */
   constructor(report) {
-    this.#cancel.addEventListener('click', () => api.cancelJob(this.#job).catch(report));
+    this.#report = report;
+    this.#cancel.addEventListener('click', () => this.#end(this.#job));
   }
 
   /** `refinement`, `scan` and `snapshots` of the status. */
@@ -47,8 +50,45 @@ export class Refinement {
     const words = lacking && state === 'none' ? null : WORDS[state] ?? state;
     this.#words.textContent = [words, message, lacking].filter(Boolean).join(' ');
     this.#progress.hidden = state === 'none' || state === 'waiting';
-    this.#cancel.hidden = state !== 'running' || !job;
+    this.#cancel.hidden = !['waiting', 'running'].includes(state) || !job;
     if (!this.#progress.hidden) this.#showFigures(refinement);
+    this.#showQueue();
+  }
+
+  /** Refinements that wait, in the order in which they were asked for: `{job, name}`, the name that of the scan. */
+  queue(waiting) {
+    // Who is about to press a button finds it where it was.
+    const isKept = ({ dataset }) => waiting.some(({ job }) => job === dataset.job);
+    const items = [...this.#queue.children];
+    for (const item of items) if (!isKept(item)) item.remove();
+    const isNew = ({ job }) => !items.some(({ dataset }) => dataset.job === job);
+    this.#queue.append(...waiting.filter(isNew).map((refinement) => this.#item(refinement)));
+    this.#showQueue();
+  }
+
+  #item({ job, name }) {
+    const item = document.createElement('li');
+    item.dataset.job = job;
+    const words = document.createElement('span');
+    words.textContent = `Then ${name}`;
+    words.title = name;
+    const cancel = document.createElement('button');
+    cancel.type = 'button';
+    cancel.className = 'small';
+    cancel.textContent = 'Cancel';
+    cancel.ariaLabel = `Cancel the refinement of ${name}`;
+    cancel.addEventListener('click', () => this.#end(job));
+    item.append(words, cancel);
+    return item;
+  }
+
+  /** One that waits and is told of above is not told of twice. */
+  #showQueue() {
+    for (const item of this.#queue.children) item.hidden = item.dataset.job === this.#job;
+  }
+
+  #end(job) {
+    api.cancelJob(job).catch(this.#report);
   }
 
   #showFigures({ state, round, step, energy_share: energy, rmse, secs_left: left }) {
