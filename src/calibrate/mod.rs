@@ -42,7 +42,7 @@ pub use estimate::{Estimate, INTERVAL_SIGMAS, Measured, SessionFit};
 pub use gather::{Gatherer, Scan, Shares, Target, TargetImage};
 pub use inverse_square::{InverseSquare, N_REGIONS, inverse_square};
 pub use offset::{ImageOffset, OffsetError, OffsetEstimate, combine_offsets, image_offset};
-pub use refusal::Refusal;
+pub use refusal::{NoEstimate, Refusal};
 pub use response::{INCIDENCES, INLIER, PowerLaw, ResponseCheck, SHARES, response_check};
 pub use sphere::{BallRadius, FoundSphere};
 pub use state::{Priors, State};
@@ -65,21 +65,41 @@ pub struct Sensor<'a> {
     pub noise: ImageNoise,
 }
 
+/// Is asked before every step of a fit whether it shall go on.
+pub type GoesOn<'a> = dyn Fn() -> bool + 'a;
+
+/// What all rounds of a fit go by.
+struct Fit<'a> {
+    sensor: &'a Sensor<'a>,
+    priors: &'a Priors,
+    goes_on: &'a GoesOn<'a>,
+}
+
 /// Rounds in which limbs, masks and interreflection are measured anew.
 const N_ROUNDS: usize = 5;
 
 /// Fits Eq. (1) to all scans at once. From their images the room's light is taken off as gamma is found, and stays off.
 ///
 /// # Errors
-/// If the scans cannot be fitted by it: see [`Refusal`].
-pub fn estimate(scans: &mut [Scan], sensor: &Sensor, priors: &Priors) -> Result<Estimate, Refusal> {
+/// If the scans cannot be fitted by it: see [`Refusal`]; if `goes_on` says no.
+pub fn estimate(
+    scans: &mut [Scan],
+    sensor: &Sensor,
+    priors: &Priors,
+    goes_on: &GoesOn,
+) -> Result<Estimate, NoEstimate> {
+    let fit = Fit {
+        sensor,
+        priors,
+        goes_on,
+    };
     refusal::check_brightness(scans, sensor.full_scale)?;
     let mut state = State::start(scans, sensor, priors)?;
-    outline::place_by_outlines(scans, sensor, priors, &mut state)?;
+    outline::place_by_outlines(scans, &fit, &mut state)?;
     state.start_intensities(scans, sensor);
-    let mut problem = round(scans, sensor, priors, &mut state);
+    let mut problem = round(scans, &fit, &mut state)?;
     for _ in 1..N_ROUNDS {
-        problem = round(scans, sensor, priors, &mut state);
+        problem = round(scans, &fit, &mut state)?;
     }
     let estimate = problem.estimate(state);
     refusal::check_fits(scans, &estimate)?;
@@ -89,13 +109,13 @@ pub fn estimate(scans: &mut [Scan], sensor: &Sensor, priors: &Priors) -> Result<
 /// Measures everything anew as the state has it, and fits that.
 fn round<'a>(
     scans: &mut [Scan],
-    sensor: &Sensor,
-    priors: &'a Priors,
+    fit: &Fit<'a>,
     state: &mut State,
-) -> Problem<'a> {
+) -> Result<Problem<'a>, NoEstimate> {
+    let sensor = fit.sensor;
     let images = scans.iter_mut().flat_map(|scan| &mut scan.images);
     images.for_each(|image| image.take_ambient_off(sensor.full_scale, state.gamma));
-    let problem = Problem::new(Samples::gather(scans, sensor, state), priors, state);
-    problem.minimise(state);
-    problem
+    let problem = Problem::new(Samples::gather(scans, sensor, state), fit.priors, state);
+    problem.minimise(state, fit.goes_on)?;
+    Ok(problem)
 }

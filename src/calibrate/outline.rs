@@ -4,13 +4,13 @@
 //! pixel blurs that. The limb is found where the model's own profile, blurred alike, fits the image best. The steepest place
 //! of the profile would be up to a pixel further in, and shift with the light.
 
-use super::Sensor;
 use super::gather::{Scan, Target, TargetImage};
 use super::model::meet_sphere;
-use super::refusal::Refusal;
+use super::refusal::{NoEstimate, Refusal};
 use super::samples::{Cap, LimbPoint, Samples};
 use super::solve::Problem;
-use super::state::{Priors, SphereState, State};
+use super::state::{SphereState, State};
+use super::{Fit, Sensor};
 use crate::geometry::bilinear;
 use crate::robust::median;
 use nalgebra::{Point3, Vector3};
@@ -285,17 +285,17 @@ pub fn measure_cap(
 /// Places the spheres by their limbs and caps alone, before any brightness is believed.
 ///
 /// # Errors
-/// If a sphere is cut by the frame in all its images, or its limb shows in too few directions.
-pub fn place_by_outlines(
+/// If a sphere is cut by the frame in all its images, or its limb shows in too few directions; if the fit is not to go on.
+pub(super) fn place_by_outlines(
     scans: &[Scan],
-    sensor: &Sensor,
-    priors: &Priors,
+    fit: &Fit,
     state: &mut State,
-) -> Result<(), Refusal> {
+) -> Result<(), NoEstimate> {
     const N_ROUNDS: usize = 4;
+    let sensor = fit.sensor;
     for _ in 0..N_ROUNDS {
         let outlines = Samples::outlines(scans, sensor, state);
-        Problem::new(outlines, priors, state).minimise(state);
+        Problem::new(outlines, fit.priors, state).minimise(state, fit.goes_on)?;
     }
     for (session, scan) in scans.iter().enumerate() {
         if let Target::Sphere(_) = scan.target {

@@ -1,8 +1,19 @@
-//! Why a calibration is refused, each with the figure that shows it.
+//! Why a calibration comes to nothing; what is refused, each with the figure that shows it.
 
 use super::estimate::{Estimate, SessionFit};
 use super::gather::{Scan, Shares, Target, WALL_SHARE};
 use crate::shading::SATURATION;
+
+/// Why a fit came to no estimate.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NoEstimate {
+    /// There is nothing to be learnt from the sessions.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// It was not to go on.
+    #[error("the fit was told to end")]
+    Stopped,
+}
 
 /// A session, or all of them, from which nothing can be learnt.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,8 +1,10 @@
 //! The robust least squares problem: Levenberg–Marquardt over all unknowns, and their covariance.
 
+use super::GoesOn;
 use super::estimate::{Estimate, SessionFit};
 use super::model::{Row, cap_row, intensity_row, limb_row};
 use super::normal_equations::{Normal, inverted};
+use super::refusal::NoEstimate;
 use super::samples::{Place, Sample, Samples};
 use super::state::{Priors, State};
 use crate::robust::{Tukey, median, median_absolute_deviation};
@@ -60,17 +62,29 @@ impl<'a> Problem<'a> {
     }
 
     /// Minimises the robust cost from `state` on.
-    pub fn minimise(&self, state: &mut State) {
+    ///
+    /// # Errors
+    /// If `goes_on` says no; `state` is then somewhere on the way.
+    pub fn minimise(&self, state: &mut State, goes_on: &GoesOn) -> Result<(), NoEstimate> {
         for _ in 0..N_SCALES {
             let losses = self.losses(state);
-            self.descend(state, &losses);
+            self.descend(state, &losses, goes_on)?;
         }
+        Ok(())
     }
 
-    fn descend(&self, state: &mut State, losses: &Losses) {
+    fn descend(
+        &self,
+        state: &mut State,
+        losses: &Losses,
+        goes_on: &GoesOn,
+    ) -> Result<(), NoEstimate> {
         let mut normal = self.linearise(state, losses);
         let mut damping = 1e-4;
         for _ in 0..MAX_STEPS {
+            if !goes_on() {
+                return Err(NoEstimate::Stopped);
+            }
             let Some(step) = normal.step(damping) else {
                 damping *= 10.0;
                 continue;
@@ -82,15 +96,16 @@ impl<'a> Problem<'a> {
                 (*state, normal) = (next, next_normal);
                 damping = (damping * 0.2).max(1e-9);
                 if gain < 1e-7 {
-                    return;
+                    break;
                 }
             } else {
                 damping *= 10.0;
                 if damping > 1e6 {
-                    return;
+                    break;
                 }
             }
         }
+        Ok(())
     }
 
     /// Robust scales of the residuals at a state, not below what is expected of them.

@@ -9,6 +9,7 @@ use crate::geometry::{CameraModel, Plane};
 use crate::shading::{FlatField, NearLight};
 use depth_camera::{Image, Intrinsics};
 use nalgebra::{DVector, Point3, Vector3};
+use std::cell::Cell;
 
 const FULL_SCALE: f64 = 65_535.0;
 const RADIUS_M: f64 = 0.1;
@@ -178,12 +179,21 @@ fn priors() -> Priors {
     }
 }
 
+/// Fits without an end but the fit's own.
+fn fit(scans: &mut [Scan], sensor: &Sensor) -> Result<Estimate, Refusal> {
+    match estimate(scans, sensor, &priors(), &|| true) {
+        Ok(found) => Ok(found),
+        Err(NoEstimate::Refused(refusal)) => Err(refusal),
+        Err(NoEstimate::Stopped) => panic!("nobody asked for an end"),
+    }
+}
+
 #[test]
 fn a_strange_sensor_is_found_from_sphere_and_wall() {
     let rays = rays();
     let sensor = sensor(&rays);
     let mut scans = [TRUTH.sphere(&rays), TRUTH.wall(&rays)];
-    let found = estimate(&mut scans, &sensor, &priors()).expect("plain targets");
+    let found = fit(&mut scans, &sensor).expect("plain targets");
     let gamma = found.gamma();
     assert!((gamma.value - TRUTH.gamma).abs() < 0.004, "{gamma:?}");
     assert!(gamma.sigma < 0.004);
@@ -214,11 +224,11 @@ fn a_strange_sensor_is_found_from_sphere_and_wall() {
 #[test]
 fn an_image_that_does_not_tell_where_its_ball_is_leaves_all_else_known() {
     let rays = rays();
-    let fit = |sphere: Scan| {
+    let fit_to = |sphere: Scan| {
         let mut scans = [sphere, TRUTH.wall(&rays)];
-        estimate(&mut scans, &sensor(&rays), &priors()).expect("plain targets")
+        fit(&mut scans, &sensor(&rays)).expect("plain targets")
     };
-    let expected = fit(TRUTH.sphere(&rays)).gamma();
+    let expected = fit_to(TRUTH.sphere(&rays)).gamma();
     let mut sphere = TRUTH.sphere(&rays);
     let n_images = sphere.images.len();
     // Dark, but for how far away the ball is; and not even that.
@@ -227,7 +237,7 @@ fn an_image_that_does_not_tell_where_its_ball_is_leaves_all_else_known() {
     let mut empty = dark.clone();
     empty.depth_m.data_mut().fill(0.0);
     sphere.images.extend([dark, empty]);
-    let found = fit(sphere);
+    let found = fit_to(sphere);
     let gamma = found.gamma();
     assert!(
         (gamma.value - expected.value).abs() < 0.5 * expected.sigma,
@@ -262,7 +272,7 @@ fn the_light_of_the_room_does_not_pass_for_another_response() {
     }
     let gamma = |wall: &Scan| {
         let mut wall = [wall.clone()];
-        let found = estimate(&mut wall, &sensor, &priors()).expect("a plain wall");
+        let found = fit(&mut wall, &sensor).expect("a plain wall");
         found.gamma().value
     };
     let alone = gamma(&TRUTH.wall(&rays));
@@ -286,7 +296,7 @@ fn a_textured_wall_is_refused_with_its_deviation() {
             *counts *= 1.0 - 0.3 * stripe as f32;
         }
     }
-    let refusal = estimate(&mut [wall], &sensor(&rays), &priors()).expect_err("stripes");
+    let refusal = fit(&mut [wall], &sensor(&rays)).expect_err("stripes");
     let Refusal::Textured {
         deviation, target, ..
     } = refusal
@@ -304,8 +314,7 @@ fn a_wall_at_one_distance_does_not_test_the_inverse_square_law() {
     wall.images.truncate(2);
     wall.images.extend_from_within(..);
     let sensor = sensor(&rays);
-    let found =
-        estimate(std::slice::from_mut(&mut wall), &sensor, &priors()).expect("a plain wall");
+    let found = fit(std::slice::from_mut(&mut wall), &sensor).expect("a plain wall");
     let refusal = inverse_square(&[wall], 0, &sensor, &found).expect_err("0.5 m and 0.67 m");
     assert!(matches!(refusal, Refusal::OneDistance { .. }), "{refusal}");
 }
@@ -316,8 +325,7 @@ fn a_wall_in_few_images_is_refused_with_their_number() {
     let mut wall = TRUTH.wall(&rays);
     wall.images.truncate(3);
     let sensor = sensor(&rays);
-    let found =
-        estimate(std::slice::from_mut(&mut wall), &sensor, &priors()).expect("a plain wall");
+    let found = fit(std::slice::from_mut(&mut wall), &sensor).expect("a plain wall");
     let refusal = inverse_square(&[wall], 0, &sensor, &found).expect_err("three images");
     let expected = Refusal::FewImages {
         session: "wall".to_owned(),
@@ -337,7 +345,7 @@ fn a_sphere_cut_by_the_frame_is_refused() {
         let at = meet_sphere(ray, &centre, RADIUS_M)?;
         Some((at.point, at.normal))
     })];
-    let refusal = estimate(&mut [sphere], &sensor(&rays), &priors()).expect_err("a cut sphere");
+    let refusal = fit(&mut [sphere], &sensor(&rays)).expect_err("a cut sphere");
     let Refusal::SphereCut { inside_share, .. } = refusal else {
         panic!("{refusal}");
     };
@@ -357,11 +365,37 @@ fn a_saturated_sphere_is_refused() {
             };
         }
     }
-    let refusal = estimate(&mut [sphere], &sensor(&rays), &priors()).expect_err("no grey pixel");
+    let refusal = fit(&mut [sphere], &sensor(&rays)).expect_err("no grey pixel");
     let Refusal::Saturated { share, .. } = refusal else {
         panic!("{refusal}");
     };
     assert!(share > 0.5);
+}
+
+#[test]
+fn a_fit_that_is_told_to_end_makes_no_further_step() {
+    let rays = rays();
+    let scans = [TRUTH.sphere(&rays), TRUTH.wall(&rays)];
+    // How it ends that may make so many steps, and how often it asks.
+    let fit_in = |n_steps: usize| {
+        let n_asked = Cell::new(0);
+        let goes_on = || {
+            n_asked.set(n_asked.get() + 1);
+            n_asked.get() <= n_steps
+        };
+        let ended = estimate(&mut scans.clone(), &sensor(&rays), &priors(), &goes_on);
+        (ended.err(), n_asked.get())
+    };
+    let (ended, n_all) = fit_in(usize::MAX);
+    assert_eq!(ended, None);
+    // The first are those of outlines, the last those of intensities.
+    for n_steps in [0, 1, n_all / 2, n_all - 1] {
+        assert_eq!(
+            fit_in(n_steps),
+            (Some(NoEstimate::Stopped), n_steps + 1),
+            "{n_steps} of {n_all}"
+        );
+    }
 }
 
 #[test]

@@ -16,6 +16,7 @@ use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use depth_camera::{CameraInfo, DepthCamera, Frame};
 use relief::{
+    calibrate::NoEstimate,
     config::{
         self, CalibrationKey, Config, DeviceCalibration, MeasuredSession, MergeError, MergeReport,
     },
@@ -183,6 +184,14 @@ fn of_merging(error: MergeError) -> anyhow::Error {
     }
 }
 
+/// What is refused is a failure; who asked to stop is told as everywhere.
+fn of_fitting(error: NoEstimate) -> anyhow::Error {
+    match error {
+        NoEstimate::Refused(refusal) => refusal.into(),
+        NoEstimate::Stopped => Stopped.into(),
+    }
+}
+
 /// Where a measurement goes.
 #[derive(Clone, Debug, Args)]
 pub struct FileArgs {
@@ -295,8 +304,11 @@ mod tests {
         let stop = AtomicBool::new(false);
         assert!(next_frame(&mut camera, &stop).unwrap().is_some());
         stop.store(true, Ordering::Relaxed);
-        let error = next_frame(&mut camera, &stop).err().unwrap();
-        assert_eq!(Verdict::of_error(&error), Verdict::Interrupted);
+        let of_frames = next_frame(&mut camera, &stop).err().unwrap();
+        for error in [of_frames, of_fitting(NoEstimate::Stopped)] {
+            assert_eq!(Verdict::of_error(&error), Verdict::Interrupted);
+            assert_eq!(error.to_string(), "stopped before anything was written");
+        }
     }
 
     #[test]

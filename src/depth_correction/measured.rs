@@ -3,7 +3,7 @@
 use super::DepthCorrection;
 use super::revision::{Revised, Settled, together};
 use crate::{
-    fusion::Fusion,
+    fusion::{Fusion, GoesOn},
     geometry::{Pose, RangeError},
     interreflection::WhiteLevel,
     multipath::{Compared, Evidence, RangeBias, Seen},
@@ -34,9 +34,10 @@ pub struct MeasuredWhite {
 const MAX_VIEWS: usize = 60;
 
 impl DepthCorrection {
-    /// What the depth of the device gets wrong by a scan that was fused as corrected here, refined by how its views agree.
-    pub fn measure(&self, fusion: &Fusion) -> MeasuredDepth {
-        let settled = self.settled(fusion, &|_| true);
+    /// What the depth of the device gets wrong by a scan that was fused as corrected here, refined by how its views agree. As soon as
+    /// `goes_on` says no, what was fused again in whole by then counts.
+    pub fn measure(&self, fusion: &Fusion, goes_on: &GoesOn) -> MeasuredDepth {
+        let settled = self.settled(fusion, goes_on);
         let shown = settled.revised.as_ref().and_then(Revised::range_error);
         let range_error = together(self.range.as_ref(), shown, RangeError::plus);
         MeasuredDepth {

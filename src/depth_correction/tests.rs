@@ -278,10 +278,15 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
         "{before} m, {live} m, {best} m"
     );
     // The scan shows no more of it, and what is known of it stays.
-    assert_eq!(correction.measure(&fusion).range_error, Some(wiggle()));
+    let measured = correction.measure(&fusion, &|_| true);
+    assert_eq!(measured.range_error, Some(wiggle()));
 
-    known.range_error_m = Some(RangeError::through(vec![[0.5, 0.0], [1.0, 0.0]]));
+    let none = RangeError::through(vec![[0.5, 0.0], [1.0, 0.0]]);
+    known.range_error_m = Some(none.clone());
     let (correction, fusion) = scanned_as(N_VIEWS, &known, wiggling, track);
-    let told_beside = correction.measure(&fusion).range_error;
+    let told_beside = correction.measure(&fusion, &|_| true).range_error;
     assert!(told_beside.is_some_and(|error| error.largest_m() > 0.002));
+    // What is told to end at once has nothing to tell.
+    let told_to_end = correction.measure(&fusion, &|_| false);
+    assert_eq!(told_to_end.range_error, Some(none));
 }

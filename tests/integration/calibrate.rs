@@ -10,8 +10,9 @@ use relief::config::{CalibrationKey, DeviceCalibration};
 use replay::SessionWriter;
 use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
 use std::{
+    io::{BufRead, BufReader},
     path::Path,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
     time::Duration,
 };
 
@@ -119,6 +120,16 @@ fn strange_kinect2(scene: &Scene, eyes: &[Point3<f64>], target: Point3<f64>, fol
     writer.unwrap().finish().unwrap();
 }
 
+/// A plain wall, seen from so far away, metres.
+fn strange_wall(distances_m: &[f64], folder: &Path) {
+    let half_size = [2.5, 2.5];
+    let plain = Solid::new(Shape::Table { half_size }, Isometry3::identity(), 0.7);
+    let plain = Scene::new(vec![plain], 0);
+    let away = |&distance_m: &f64| Point3::new(0.02, -0.06 * distance_m, distance_m);
+    let eyes: Vec<_> = distances_m.iter().map(away).collect();
+    strange_kinect2(&plain, &eyes, Point3::origin(), folder);
+}
+
 fn calibrate(what: &str, sessions: &[&Path], folder: &Path) -> Output {
     Command::new(PROGRAM)
         .args(["calibrate", what])
@@ -141,12 +152,7 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
         .map(|aside| middle + Vector3::new(aside, -0.52, 0.25))
         .into();
     strange_kinect2(&ball, &eyes, middle, &sphere);
-    let half_size = [2.5, 2.5];
-    let plain = Solid::new(Shape::Table { half_size }, Isometry3::identity(), 0.7);
-    let plain = Scene::new(vec![plain], 0);
-    let away = |distance_m: f64| Point3::new(0.02, -0.06 * distance_m, distance_m);
-    let eyes: Vec<_> = [0.55, 0.7, 0.85, 1.0, 1.2, 1.4].map(away).into();
-    strange_kinect2(&plain, &eyes, Point3::origin(), &wall);
+    strange_wall(&[0.55, 0.7, 0.85, 1.0, 1.2, 1.4], &wall);
 
     let output = calibrate("response", &[&sphere, &wall], &folder);
     assert_says(&output, 0, &["calibration written", "page written"]);
@@ -186,6 +192,41 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
     );
     let spheres_only = calibrate("flat-field", &[&sphere], &elsewhere);
     assert_says(&spheres_only, 1, &["no session shows a plain wall"]);
+}
+
+#[test]
+fn a_fit_that_is_told_to_stop_is_not_made_to_its_end() {
+    const N_SESSIONS: usize = 20;
+    let root = tempfile::tempdir().unwrap();
+    let (wall, folder) = (root.path().join("wall"), root.path().join("calibration"));
+    strange_wall(&[0.55, 0.85, 1.2], &wall);
+    // Often enough the same, on one thread, that the fit takes far longer than to be told.
+    let mut child = Command::new(PROGRAM)
+        .args(["calibrate", "flat-field"])
+        .args([&wall; N_SESSIONS])
+        .arg("--calibration-dir")
+        .arg(&folder)
+        .env("RAYON_NUM_THREADS", "1")
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let said = BufReader::new(child.stderr.take().unwrap());
+    let mut lines = said.lines().map(|line| line.unwrap());
+    let gathered = lines.by_ref().filter(|line| line.contains("gathered"));
+    assert_eq!(gathered.take(N_SESSIONS).count(), N_SESSIONS);
+    let pid = child.id().to_string();
+    let killed = Command::new("kill").args(["-TERM", &pid]).status().unwrap();
+    assert!(killed.success());
+    let rest: Vec<String> = lines.collect();
+    // At its end it is refused with 1: three images show no law of distance.
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
+    let told = rest.last().unwrap();
+    assert!(
+        told.ends_with("stopped before anything was written"),
+        "{rest:?}"
+    );
+    assert!(!folder.exists());
 }
 
 #[test]

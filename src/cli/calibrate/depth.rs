@@ -71,7 +71,7 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
                 fusion.fuse(depth_m, corrected.device_time_secs);
             }
         }
-        Ok(correction.measure(&fusion))
+        Ok(correction.measure(&fusion, &|_| check_wanted(stop).is_ok()))
     })?;
     check_wanted(stop)?;
     device.light.white_level = measured.white.map(|measured| measured.white.0);

@@ -91,10 +91,12 @@ fn of_shading_images(
         !accepted.is_empty(),
         "the session has no shading image: depth empty, lamp lit, no speckle"
     );
-    let images = accepted.iter();
-    Ok(images
-        .filter_map(|image| image_offset(&image.depth_m, &image.ir_counts, full_scale))
-        .collect())
+    let mut offsets = Vec::new();
+    for image in &accepted {
+        check_wanted(stop)?;
+        offsets.extend(image_offset(&image.depth_m, &image.ir_counts, full_scale));
+    }
+    Ok(offsets)
 }
 
 /// A Kinect II: depth and IR of every frame.

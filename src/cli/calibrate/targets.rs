@@ -4,7 +4,7 @@
 use super::{
     TargetArgs, check_beforehand, check_wanted,
     findings::Findings,
-    measured_session, merge, next_frame, open,
+    measured_session, merge, next_frame, of_fitting, open,
     page::write_page,
     print::{print_json, print_text},
 };
@@ -14,8 +14,8 @@ use depth_camera::CameraInfo;
 use nalgebra::Point3;
 use relief::{
     calibrate::{
-        BallRadius, Estimate, Gatherer, InverseSquare, Priors, Refusal, Scan, Sensor, Target,
-        estimate, inverse_square, response_check,
+        BallRadius, Estimate, Gatherer, InverseSquare, Priors, Scan, Sensor, Target, estimate,
+        inverse_square, response_check,
     },
     capture::IrOffset,
     config::{
@@ -108,7 +108,7 @@ pub fn calibrate(aim: Aim, args: &TargetArgs, stop: &AtomicBool) -> anyhow::Resu
         noise: found.calibration.noise,
     };
     let priors = priors(aim, args, &device.info, found)?;
-    let findings = investigate(aim, scans, &sensor, priors, found)?;
+    let findings = investigate(aim, scans, &sensor, priors, found, stop)?;
     check_wanted(stop)?;
     let page = args
         .page
@@ -290,15 +290,19 @@ fn priors(
     })
 }
 
-/// Fits everything, then looks at what the command is for.
+/// Fits everything, then looks at what the command is for, unless somebody asks to stop.
 fn investigate(
     aim: Aim,
     mut scans: Vec<Scan>,
     sensor: &Sensor,
     priors: Priors,
     found: &FoundCalibration,
-) -> Result<Findings, Refusal> {
-    let whole = estimate(&mut scans, sensor, &priors)?;
+    stop: &AtomicBool,
+) -> anyhow::Result<Findings> {
+    let fit = |scans: &mut [Scan], priors: &Priors| {
+        estimate(scans, sensor, priors, &|| check_wanted(stop).is_ok()).map_err(of_fitting)
+    };
+    let whole = fit(&mut scans, &priors)?;
     let mut spheres: Vec<Scan> = scans
         .iter()
         .filter(|scan| scan.target != Target::Wall)
@@ -309,15 +313,16 @@ fn investigate(
     let spheres_alone: Option<Estimate> = match spheres.len() {
         0 => None,
         n if n == scans.len() => None,
-        _ => Some(estimate(&mut spheres, sensor, &fitted_priors(&whole))?),
+        _ => Some(fit(&mut spheres, &fitted_priors(&whole))?),
     };
     let mut responses = Vec::new();
     let mut distances: Vec<(usize, InverseSquare)> = Vec::new();
     for (index, scan) in scans.iter().enumerate() {
+        check_wanted(stop)?;
         match scan.target {
             Target::Wall => match inverse_square(&scans, index, sensor, &whole) {
                 Ok(law) => distances.push((index, law)),
-                Err(refusal) if aim == Aim::FlatField => return Err(refusal),
+                Err(refusal) if aim == Aim::FlatField => return Err(refusal.into()),
                 Err(refusal) => tracing::warn!(%refusal, "inverse square law not checked"),
             },
             Target::Sphere(_) => {
