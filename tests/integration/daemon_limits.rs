@@ -42,13 +42,38 @@ fn connections_are_counted_and_are_closed_without_a_request() {
 }
 
 #[test]
-fn what_is_too_long_is_refused_before_its_end() {
+fn a_head_of_too_many_lines_or_bytes_is_refused() {
+    const MAX_LINES: usize = 100;
+    const MAX_BYTES: usize = 32 * 1024;
     let daemon = Daemon::start(&[]);
     let client = daemon.client;
-    let padding = [("X-Padding", "x"); 200];
-    let answer = client.ask("GET", "/healthz", &padding, b"");
-    assert_eq!(answer.status, 431);
+    let begin = format!(
+        "GET /healthz HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n",
+        client.0
+    );
+    // The status that answers so many lines more, each so long.
+    let answer = |n_lines: usize, line_bytes: usize| {
+        let padding = "x".repeat(line_bytes - "X-Padding: \r\n".len());
+        let rest = format!("X-Padding: {padding}\r\n").repeat(n_lines) + "\r\n";
+        // A daemon that refuses a long head does not read all of it.
+        exchange(client.connect(), &begin, rest.as_bytes()).status
+    };
+    for (n_lines, status) in [(MAX_LINES - 2, 200), (MAX_LINES - 1, 431), (200, 431)] {
+        assert_eq!(answer(n_lines, 32), status, "{n_lines}");
+    }
+    let room = MAX_BYTES - begin.len() - "\r\n".len();
+    for (line_bytes, status) in [(room, 200), (room + 1, 431), (40_000, 431)] {
+        assert_eq!(answer(1, line_bytes), status, "{line_bytes}");
+    }
+    // What lines take together counts.
+    assert_eq!(answer(80, 500), 431);
+    assert_eq!(client.status()["state"], "idle");
+}
 
+#[test]
+fn a_body_that_is_too_long_is_refused_before_its_end() {
+    let daemon = Daemon::start(&[]);
+    let client = daemon.client;
     // Its length is not told beforehand, and it does not end.
     let long = vec![b' '; 64 * 1024 + 1];
     let head = format!(

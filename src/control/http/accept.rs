@@ -26,8 +26,9 @@ const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(10);
 /// How long a client may take nothing of what is sent to it.
 const WRITE_PATIENCE: Duration = Duration::from_secs(30);
 
-/// What a connection holds for a request that arrives, bytes; a head must fit in.
-const BUFFER_BYTES: usize = 32 * 1024;
+/// What the head of a request may take, bytes, and a connection holds for one that arrives. The buffer alone bounds no head: it may
+/// grow to twice as much before it is looked at.
+const MAX_HEAD_BYTES: usize = 32 * 1024;
 
 /// How long connections may take to end when the daemon does.
 const GOODBYE: Duration = Duration::from_secs(2);
@@ -123,7 +124,8 @@ async fn serve(
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_PATIENCE)
-        .max_buf_size(BUFFER_BYTES)
+        .max_buf_size(MAX_HEAD_BYTES)
+        .max_header_size(MAX_HEAD_BYTES)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
     let mut connection = pin!(connection);
