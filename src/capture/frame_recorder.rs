@@ -46,7 +46,7 @@ pub struct RecordingStanding {
     pub active: bool,
     /// Bytes written; 0 in a folder of images, where nobody counts them.
     pub bytes: u64,
-    /// Frames recorded.
+    /// Frames recorded; of a recording that ended by a failure to write, those that are left.
     pub recorded: u64,
     /// Room on the disk; `None` where it cannot be asked.
     pub disk_free_bytes: Option<u64>,
@@ -154,17 +154,16 @@ impl FrameRecorder {
         let (frame, ir) = (&delivered.frame, delivered.infrared());
         let written = match &mut self.writer {
             None => return None,
-            Some(FrameWriter::Folder(writer)) => writer
-                .write_with_infrared(frame, ir)
-                .map_err(RecordingError::from),
+            Some(FrameWriter::Folder(writer)) => {
+                let written = writer.write_with_infrared(frame, ir);
+                self.standing.recorded += u64::from(written.is_ok());
+                written.map_err(RecordingError::from)
+            }
             Some(FrameWriter::Mcap(writer)) => match self.gate.admits(delivered) {
                 true => writer.write_with_infrared(frame, ir),
                 false => writer.write_with_infrared(frame, None),
             },
         };
-        if written.is_ok() {
-            self.standing.recorded += 1;
-        }
         self.after(written).or_else(|| self.tick())
     }
 
@@ -225,9 +224,6 @@ impl FrameRecorder {
             }),
             Some(FrameWriter::Folder(_)) => Ok(()),
         };
-        if let Some(FrameWriter::Mcap(writer)) = &self.writer {
-            self.standing.bytes = writer.progress().counters.bytes;
-        }
         self.after(ticked)
     }
 
@@ -252,6 +248,10 @@ impl FrameRecorder {
 
     /// What a call came to: a frame that does not belong costs itself, anything else ends the recording.
     fn after(&mut self, written: Result<(), RecordingError>) -> Option<Stopped> {
+        if let Some(FrameWriter::Mcap(writer)) = &self.writer {
+            let counters = writer.progress().counters;
+            (self.standing.bytes, self.standing.recorded) = (counters.bytes, counters.frames);
+        }
         let stopped = match written {
             Ok(()) => return None,
             Err(error @ RecordingError::Write(WriteError::Frame { .. })) => {

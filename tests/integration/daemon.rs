@@ -158,7 +158,7 @@ fn a_disk_that_is_full_when_a_scan_ends_is_waited_for() {
 
 #[test]
 fn no_scan_starts_without_room() {
-    let daemon = Daemon::start_wanting(1_000_000);
+    let daemon = Daemon::start_wanting(1_000_000, Workbench::with_frames(1), &[]);
     let client = daemon.client;
     client.get("/readyz").assert_problem(503, "storage_failed");
     client

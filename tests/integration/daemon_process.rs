@@ -35,10 +35,9 @@ impl Daemon {
         Self::spawn(bench, command)
     }
 
-    /// Starts a daemon whose scans want so much room on the disk, MB.
-    pub fn start_wanting(min_free_disk_mb: u32) -> Self {
-        let bench = Workbench::with_frames(1);
-        let mut command = command(&bench, &[]);
+    /// Starts a daemon over the recording of a bench whose scans want so much room on the disk, MB.
+    pub fn start_wanting(min_free_disk_mb: u32, bench: Workbench, arguments: &[&str]) -> Self {
+        let mut command = command(&bench, arguments);
         command.env(MIN_FREE_DISK_MB, min_free_disk_mb.to_string());
         Self::spawn(bench, command)
     }

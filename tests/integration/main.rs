@@ -23,10 +23,13 @@ mod signals;
 mod worker;
 
 mod daemon;
+mod daemon_disk;
 mod daemon_limits;
 mod daemon_refined;
 mod daemon_tls;
 
 mod daemon_process;
 mod http_client;
+#[path = "../../drivers/mcap-session/tests/recording/small_disk.rs"]
+mod small_disk;
 mod support;

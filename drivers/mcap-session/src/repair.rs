@@ -51,12 +51,12 @@ pub fn repair(folder: &Path) -> Result<Option<RepairNote>, RecordingError> {
     let record = SessionRecord::read(folder)?;
     let (mut lock, n_given) = OpenLock::take_over(folder)?;
     match record.state {
-        State::Open => mend(folder, record, &mut lock, n_given).map(Some),
+        State::Open => mend(folder, record, &mut lock, n_given).map(|mended| mended.repair),
         State::Closed | State::Repaired => {
             let is_whole = |report: &FileReport| report.problems.is_empty();
             match verify(folder).is_ok_and(|reports| reports.iter().all(is_whole)) {
                 true => lock.remove().map(|()| None),
-                false => mend(folder, record, &mut lock, None).map(Some),
+                false => mend(folder, record, &mut lock, None).map(|mended| mended.repair),
             }
         }
     }
@@ -89,11 +89,11 @@ pub fn repair_abandoned(folder: &Path) -> Result<Vec<Repaired>, RecordingError> 
         .collect())
 }
 
-/// Mends a recording that this process holds, after a failure to write.
+/// Mends a recording that this process holds, after a failure to write; what it then is.
 pub(crate) fn repair_held(
     folder: &Path,
     lock: &mut OpenLock,
-) -> Result<RepairNote, RecordingError> {
+) -> Result<SessionRecord, RecordingError> {
     let n_given = lock.n_frames();
     lock.release_reserve();
     mend(folder, SessionRecord::read(folder)?, lock, Some(n_given))
@@ -113,7 +113,7 @@ fn mend(
     mut record: SessionRecord,
     lock: &mut OpenLock,
     n_given: Option<u64>,
-) -> Result<RepairNote, RecordingError> {
+) -> Result<SessionRecord, RecordingError> {
     let mut note = RepairNote::default();
     let mut counters = Counters::default();
     let mut bag = Vec::new();
@@ -134,10 +134,10 @@ fn mend(
     bag_metadata::write(folder, &bag)?;
     record.state = State::Repaired;
     record.counters = counters;
-    record.repair = Some(note.clone());
+    record.repair = Some(note);
     record.write(folder)?;
     lock.remove()?;
-    Ok(note)
+    Ok(record)
 }
 
 /// Mends one segment of a recording of that device.

@@ -259,7 +259,7 @@ impl SegmentWriter {
         Ok(())
     }
 
-    /// How far the recording came.
+    /// How far the recording came; of one that ended by a failure to write, what is left of it.
     pub fn progress(&self) -> Progress {
         Progress {
             counters: self.record.counters,

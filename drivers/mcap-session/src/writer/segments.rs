@@ -134,7 +134,9 @@ impl SegmentWriter {
         act(open).map_err(|error| {
             self.open = None;
             // Where even that fails, the next to open the recording tries again.
-            let _ = repair::repair_held(&self.folder, &mut self.lock);
+            if let Ok(mended) = repair::repair_held(&self.folder, &mut self.lock) {
+                self.record = mended;
+            }
             io_error(&path)(error)
         })
     }

@@ -4,8 +4,7 @@ use std::{
     cell::RefCell,
     fs,
     io::{self, Write},
-    path::{Path, PathBuf},
-    process::Command,
+    path::Path,
     rc::Rc,
 };
 
@@ -15,7 +14,10 @@ use mcap_session::{
 };
 use replay::WriteError;
 
-use crate::support::{assert_as_recorded, camera_info, first_segment, frame, params, play};
+use crate::{
+    small_disk::SmallDisk,
+    support::{assert_as_recorded, camera_info, first_segment, frame, params, play},
+};
 
 /// What a disk holds that refuses its n-th write, having taken a part of it.
 #[derive(Clone)]
@@ -91,40 +93,15 @@ fn every_write_may_fail_and_what_came_before_is_mended() {
     }
 }
 
-/// A small disk of its own, where this user may mount one.
-struct SmallDisk(PathBuf);
-
-impl SmallDisk {
-    fn mount(at: &Path, megabytes: u32) -> Option<Self> {
-        let mounted = Command::new("mount")
-            .args(["-t", "tmpfs", "-o", &format!("size={megabytes}m"), "tmpfs"])
-            .arg(at)
-            .output();
-        match mounted {
-            Ok(output) if output.status.success() => Some(SmallDisk(at.to_owned())),
-            _ => {
-                println!("skipped: this user cannot mount a disk");
-                None
-            }
-        }
-    }
-}
-
-impl Drop for SmallDisk {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
-    }
-}
-
-/// Records frames until that ends; how many, and why.
-fn record_until_it_ends(path: &Path, params: RecordingParams) -> (u64, RecordingError) {
+/// Records frames until that ends; how many were taken, how many are told to be kept, and why it ended.
+fn record_until_it_ends(path: &Path, params: RecordingParams) -> (u64, u64, RecordingError) {
     let info = camera_info(256, 212);
     let mut writer = SegmentWriter::create(path, &info, params).unwrap();
     for frame_id in 0..10_000 {
         if let Err(error) = writer.write(&frame(&info, frame_id)) {
             let again = writer.write(&frame(&info, frame_id + 1)).unwrap_err();
             assert!(matches!(again, RecordingError::Ended(_)), "{again}");
-            return (frame_id, error);
+            return (frame_id, writer.progress().counters.frames, error);
         }
     }
     panic!("the disk never filled");
@@ -141,7 +118,7 @@ fn recording_stops_before_the_disk_is_full() {
         min_free_bytes: 4 << 20,
         ..params()
     };
-    let (n_frames, error) = record_until_it_ends(&path, floor);
+    let (n_frames, n_kept, error) = record_until_it_ends(&path, floor);
     let RecordingError::DiskFloor { free_bytes, .. } = error else {
         panic!("{error}");
     };
@@ -153,10 +130,8 @@ fn recording_stops_before_the_disk_is_full() {
     let why = record.stopped_because.unwrap();
     assert!(why.contains("recording stops below 4194304"), "{why}");
     assert_eq!(verify(&path).unwrap()[0].problems, Vec::<String>::new());
-    assert_eq!(
-        play(&path).unwrap().frames.len() as u64,
-        record.counters.frames
-    );
+    assert_eq!(record.counters.frames, n_kept);
+    assert_eq!(play(&path).unwrap().frames.len() as u64, n_kept);
 }
 
 #[test]
@@ -166,7 +141,7 @@ fn a_full_disk_ends_the_recording_and_keeps_what_was_written() {
         return;
     };
     let path = disk.0.join("recording");
-    let (n_frames, error) = record_until_it_ends(&path, params());
+    let (n_frames, n_kept, error) = record_until_it_ends(&path, params());
     let RecordingError::Write(WriteError::Io { source, .. }) = error else {
         panic!("{error}");
     };
@@ -177,6 +152,7 @@ fn a_full_disk_ends_the_recording_and_keeps_what_was_written() {
     assert_as_recorded(&camera_info(256, 212), &played.frames);
     let note = record.repair.unwrap();
     assert_eq!(played.frames.len() as u64, note.frames_recovered);
+    assert_eq!(note.frames_recovered, n_kept);
     println!("{n_frames} frames, then the disk was full; {note:?}");
     assert!(note.frames_recovered + 1 >= n_frames, "{note:?}");
     assert_eq!(verify(&path).unwrap()[0].problems, Vec::<String>::new());
