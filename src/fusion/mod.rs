@@ -274,10 +274,15 @@ impl Fusion {
         self.model.as_ref()
     }
 
-    /// The frames that were tracked and fused, in order of time; where memory for them is short, every second or fourth,
-    /// which stands for those between.
+    /// The frames that were tracked and fused, in order of time; where memory for them is short, some of them, which stand for
+    /// those beside them.
     pub fn keyframes(&self) -> &[Keyframe] {
         self.keyframes.frames()
+    }
+
+    /// At most so many of them, which stand for the others as where memory is short.
+    pub fn keyframes_at_most(&self, n: usize) -> Vec<Keyframe> {
+        self.keyframes.at_most(n)
     }
 
     /// Distance to the model's surface (m, positive outside) and its gradient at a point of the world; `None` where the model

@@ -140,13 +140,12 @@ impl Waypoint {
     }
 }
 
-/// Frames are missing where two are farther apart in time than the median by this factor; where a scan is just being thinned, the
-/// older half of it is twice as far apart as the newer.
+/// Frames are missing where two are farther apart in time than the median by this factor.
 const GAP_FACTOR: f64 = 2.5;
 
 /// The velocity of a camera at each place of its path, in order of time, by the neighbours in time: turn (rad/s) and shift (m/s) in the
-/// camera's frame. None is known where frames are missing, and across a break of tracking. Of a long scan every second, fourth or
-/// eighth frame is kept; none of these is missing.
+/// camera's frame. None is known where frames are missing, and across a break of tracking. Of a long scan
+/// fewer frames are kept, most of them where the camera moved fast.
 pub fn velocities(path: &[Waypoint]) -> Vec<Vector6<f64>> {
     let passed_secs = |a: usize, b: usize| path[b].time_secs - path[a].time_secs;
     let mut steps: Vec<f64> = (1..path.len()).map(|b| passed_secs(b - 1, b)).collect();

@@ -1,8 +1,7 @@
 //! Taking frames back: the model as if the last ones had not been fused.
 //!
 //! A volume does not remember what each frame brought, so that those which stay are fused anew, from their packed depth and
-//! at the poses at which they were fused. Where memory was short, that is every second or fourth of them, which then count for
-//! those between.
+//! at the poses at which they were fused. Where memory was short, those of them that are kept count for those that are not.
 
 use super::fused_volume::FusedVolume;
 use super::improvement::{Counted, Improvement, Work};

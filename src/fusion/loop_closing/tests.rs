@@ -135,7 +135,7 @@ fn frames_that_memory_has_no_room_for_are_not_missing_from_the_surface() {
         for index in 0..N_FRAMES {
             let (frame, pose) = (&frames[index / 4], truth[index / 4]);
             assert!(eye.take(frame.depth.as_ref().expect("Kinect II")));
-            keyframes.offer(&eye, &Track::at(pose, index as f64), None, 0);
+            keyframes.offer(&eye, &Track::at(pose, index as f64 / 30.0), None, 0);
         }
         keyframes.frames().to_vec()
     };
