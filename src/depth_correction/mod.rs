@@ -42,6 +42,8 @@ pub struct DepthCorrection {
     /// Whether the device's calibration tells it.
     is_measured: bool,
     predictions: Predictions,
+    /// While the white level of a scan is still being looked for, no more frames than so many are fused again.
+    max_sought_by: usize,
 }
 
 impl DepthCorrection {
@@ -67,6 +69,7 @@ impl DepthCorrection {
             recalibrated: None,
             is_measured: measured.is_some(),
             predictions: Predictions::default(),
+            max_sought_by: revision::MAX_SOUGHT_BY,
         }
     }
 

@@ -4,8 +4,8 @@ use super::DepthCorrection;
 use super::carry::Carry;
 use crate::{
     fusion::{
-        DepthField, DepthNoise, Fusion, GoesOn, PoseCorrection, RollingShutter, TrackingOutcome,
-        Waypoint, Work, velocities,
+        DepthField, DepthNoise, Fusion, GoesOn, Keyframe, PoseCorrection, RollingShutter,
+        TrackingOutcome, Waypoint, Work, velocities,
     },
     geometry::{CameraModel, Motion, RangeError},
     interreflection::WhiteLevel,
@@ -56,6 +56,8 @@ const MODEL_ROUNDS: usize = 2;
 /// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still
 /// show of it is noise: with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
 const SENSOR_ROUNDS: usize = 3;
+/// So many frames tell the white level as well as all of a long scan, in less time. All are fused again in the end.
+pub(super) const MAX_SOUGHT_BY: usize = 300;
 /// A revision that loses more than this share of the frames is not used.
 const MAX_LOST_SHARE: f64 = 0.05;
 /// A field that changes by less, metres at a metre, is not worth fusing again.
@@ -76,11 +78,15 @@ impl DepthCorrection {
         let mut revised: Option<Revised> = None;
         let mut told = None;
         // Without memory for them no frames are kept; and a white level may be known of a sensor whose depth is not freed of multipath.
-        let can_be_fused = !fusion.keyframes().is_empty();
-        let has_multipath = self.multipath.is_some() && self.live.is_some() && can_be_fused;
+        let all = fusion.keyframes();
+        let has_multipath = self.multipath.is_some() && self.live.is_some() && !all.is_empty();
+        let is_long = has_multipath && all.len() > self.max_sought_by;
+        let few = is_long.then(|| fusion.keyframes_at_most(self.max_sought_by));
+        let frames = few.as_deref().unwrap_or(all);
+        let mut n_passes = 0;
         for round in 0..self.fusion.max_revisions {
             let work = Work::CorrectDepth(round + 1);
-            if !goes_on(work.at(0, fusion.keyframes().len())) {
+            if !goes_on(work.at(0, frames.len())) {
                 break;
             }
             let current = revised.as_ref().map_or(fusion, |revised| &revised.fusion);
@@ -123,7 +129,9 @@ impl DepthCorrection {
                 range: known_range,
                 ..known.clone()
             });
-            let fuse = |known| self.fuse_again(fusion, revised.as_ref(), known, work, goes_on);
+            n_passes = round + 1;
+            let fuse =
+                |known| self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
             match fuse(known).or_else(|| fuse(without_range?)) {
                 Some(again) => (revised, told) = (Some(again), None),
                 None => {
@@ -132,6 +140,10 @@ impl DepthCorrection {
                     break;
                 }
             }
+        }
+        if let (true, Some(found)) = (is_long, &revised) {
+            let (known, work) = (found.known.clone(), Work::CorrectDepth(n_passes + 1));
+            revised = self.fuse_again(all, fusion, revised.as_ref(), known, work, goes_on);
         }
         Settled {
             revised,
@@ -169,10 +181,11 @@ impl DepthCorrection {
             .flatten()
     }
 
-    /// Fuses all frames again, near where they lie by now, with what is known taken off; `None` if too many are lost that way, or
-    /// it shall not go on.
+    /// Fuses frames again, near where they lie by now, with what is known taken off; `None` if too many are lost that way, or it
+    /// shall not go on.
     fn fuse_again(
         &self,
+        frames: &[Keyframe],
         original: &Fusion,
         revised: Option<&Revised>,
         known: Known,
@@ -185,7 +198,6 @@ impl DepthCorrection {
         let mut fusion = Fusion::new(camera, noise, self.fusion.clone());
         let mut knots = Vec::new();
         let mut n_lost = 0;
-        let frames = original.keyframes();
         let path: Vec<Waypoint> = frames
             .iter()
             .map(|frame| {

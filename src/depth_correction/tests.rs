@@ -34,17 +34,27 @@ fn scanned_with(
     calibration: &Calibration,
     fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
 ) -> (DepthCorrection, Fusion) {
-    scanned_as(N_FRAMES, calibration, |frame| frame, fuse)
+    scanned_as(&rendered(N_FRAMES), calibration, Frame::clone, fuse)
 }
 
-/// The same of so many frames, as a sensor delivers them that has another error of its own.
+/// So many frames of the camera.
+fn rendered(n_frames: usize) -> Vec<Frame> {
+    let mut camera = SimulatedCamera::kinect2_plaque(n_frames, 7);
+    let grab = |_| {
+        let frame = camera.grab(Duration::from_secs(10));
+        frame.expect("it is simulated").expect("not the end")
+    };
+    (0..n_frames).map(grab).collect()
+}
+
+/// The same of these frames, as a sensor delivers them that has another error of its own.
 fn scanned_as(
-    n_frames: usize,
+    frames: &[Frame],
     calibration: &Calibration,
-    deliver: impl Fn(Frame) -> Frame,
+    deliver: impl Fn(&Frame) -> Frame,
     fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
 ) -> (DepthCorrection, Fusion) {
-    let mut camera = SimulatedCamera::kinect2_plaque(n_frames, 7);
+    let camera = SimulatedCamera::kinect2_plaque(frames.len(), 7);
     let info = camera.info().clone();
     let params = FusionParams {
         voxel_size_m: 0.004,
@@ -54,9 +64,8 @@ fn scanned_as(
     let noise = DepthNoise::of_sensor(info.sensor);
     let mut fusion = Fusion::new(CameraModel::new(info.intrinsics), noise, params);
     let first = camera.true_world_from_camera(0).inverse();
-    for index in 0..n_frames {
-        let frame = camera.grab(Duration::from_secs(10));
-        let frame = deliver(frame.expect("it is simulated").expect("not the end"));
+    for (index, frame) in frames.iter().enumerate() {
+        let frame = deliver(frame);
         let corrected = correction.correct(&frame).expect("it shows light");
         let depth = corrected.depth.as_ref().expect("a Kinect II");
         let pose = first * camera.true_world_from_camera(index);
@@ -71,9 +80,17 @@ fn scanned_as(
 
 #[test]
 fn a_tracked_scan_is_fused_again_on_its_model_with_every_frame_where_it_was() {
-    let (correction, tracked) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
+    let (mut correction, tracked) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
+    for max_sought_by in [N_FRAMES, N_FRAMES - 1] {
+        correction.max_sought_by = max_sought_by;
+        is_fused_again_where_it_was(&correction, &tracked);
+    }
+    assert!(correction.revise(&tracked, &|_| false).is_none());
+}
+
+fn is_fused_again_where_it_was(correction: &DepthCorrection, tracked: &Fusion) {
     let revised = correction
-        .revise(&tracked, &|_| true)
+        .revise(tracked, &|_| true)
         .expect("light comes over the table");
     assert_eq!(revised.fusion.n_fused(), N_FRAMES);
     let pairs = revised.fusion.keyframes().iter().zip(tracked.keyframes());
@@ -93,7 +110,6 @@ fn a_tracked_scan_is_fused_again_on_its_model_with_every_frame_where_it_was() {
             "{motion:?}"
         );
     }
-    assert!(correction.revise(&tracked, &|_| false).is_none());
 }
 
 #[test]
@@ -206,24 +222,22 @@ fn wiggle() -> RangeError {
 }
 
 /// A frame of a sensor with that wiggle.
-fn wiggling(frame: Frame) -> Frame {
+fn wiggling(frame: &Frame) -> Frame {
     let points = (20..200).map(|k| 0.01 * f64::from(k));
     let shorter = RangeError::through(points.map(|r| [r, -wiggle().at_m(r)]).collect());
     let rays = RayGrid::new(CameraModel::new(
         SimulatedCamera::kinect2_plaque(1, 7).info().intrinsics,
     ));
     let depth = shorter.corrected(frame.depth.as_ref().expect("a Kinect II"), &rays);
-    with_depth(&frame, depth)
+    with_depth(frame, depth)
 }
 
 /// Root mean square of how far patches of fused frames lie from what the camera saw, metres, but for a constant and a share of depth.
-fn off_m(fusion: &Fusion, n_frames: usize) -> f64 {
-    let camera = SimulatedCamera::kinect2_plaque(n_frames, 7);
-    let rays = RayGrid::new(CameraModel::new(camera.info().intrinsics));
-    let cells = CellGrid::new(rays.rays().width(), rays.rays().height(), 32);
+fn off_m(fusion: &Fusion, truths: &[Image<f32>]) -> f64 {
+    let cells = CellGrid::new(truths[0].width(), truths[0].height(), 32);
     let mut apart = Vec::new();
-    for (index, frame) in fusion.keyframes().iter().enumerate() {
-        let (seen, truth) = (frame.depth_m(), camera.true_depth(index));
+    for (frame, truth) in fusion.keyframes().iter().zip(truths) {
+        let seen = frame.depth_m();
         for cell in 0..cells.n_cells() {
             let pixels = cells.square(cell, 1).pixels();
             let both = pixels.map(|(u, v)| (*seen.at(u, v), *truth.at(u, v)));
@@ -245,25 +259,28 @@ fn off_m(fusion: &Fusion, n_frames: usize) -> f64 {
 #[test]
 fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
     const N_VIEWS: usize = 16;
+    let frames = rendered(N_VIEWS);
+    let camera = SimulatedCamera::kinect2_plaque(N_VIEWS, 7);
+    let truths: Vec<Image<f32>> = (0..N_VIEWS).map(|k| camera.true_depth(k)).collect();
     let track =
         |fusion: &mut Fusion, depth: &Image<f32>, time: f64, _: &Pose| fusion.fuse(depth, time);
     let revised = |correction: &DepthCorrection, fusion: &Fusion| {
         let revised = correction.revise(fusion, &|_| true);
         revised.expect("light comes over the table")
     };
-    let (correction, fusion) = scanned_as(N_VIEWS, &calibration(1.0), |frame| frame, track);
+    let (correction, fusion) = scanned_as(&frames, &calibration(1.0), Frame::clone, track);
     let without = revised(&correction, &fusion);
     assert_eq!(without.range_error(), None);
 
-    let (correction, fusion) = scanned_as(N_VIEWS, &calibration(1.0), wiggling, track);
-    let before = off_m(&fusion, N_VIEWS);
+    let (correction, fusion) = scanned_as(&frames, &calibration(1.0), wiggling, track);
+    let before = off_m(&fusion, &truths);
     let told = revised(&correction, &fusion);
     assert!(
         told.range_error()
             .is_some_and(|error| error.largest_m() > 0.002)
     );
-    let after = off_m(&told.fusion, N_VIEWS);
-    let best = off_m(&without.fusion, N_VIEWS);
+    let after = off_m(&told.fusion, &truths);
+    let best = off_m(&without.fusion, &truths);
     assert!(
         after - best < 0.5 * (before - best),
         "{before} m, {after} m, {best} m"
@@ -271,8 +288,8 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
 
     let mut known = calibration(1.0);
     known.range_error_m = Some(wiggle());
-    let (correction, fusion) = scanned_as(N_VIEWS, &known, wiggling, track);
-    let live = off_m(&fusion, N_VIEWS);
+    let (correction, fusion) = scanned_as(&frames, &known, wiggling, track);
+    let live = off_m(&fusion, &truths);
     assert!(
         live - best < 0.3 * (before - best),
         "{before} m, {live} m, {best} m"
@@ -283,7 +300,7 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
 
     let none = RangeError::through(vec![[0.5, 0.0], [1.0, 0.0]]);
     known.range_error_m = Some(none.clone());
-    let (correction, fusion) = scanned_as(N_VIEWS, &known, wiggling, track);
+    let (correction, fusion) = scanned_as(&frames, &known, wiggling, track);
     let told_beside = correction.measure(&fusion, &|_| true).range_error;
     assert!(told_beside.is_some_and(|error| error.largest_m() > 0.002));
     // What is told to end at once has nothing to tell.
