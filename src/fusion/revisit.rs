@@ -96,8 +96,12 @@ impl Revisits {
 
     /// Loops are being looked for: the next time is when the camera has been somewhere, elsewhere, and back again.
     pub(super) fn see_to(&mut self) {
-        self.back_secs = None;
         self.looked_secs = Some(self.newest_secs);
+        self.forget_visits();
+    }
+
+    fn forget_visits(&mut self) {
+        self.back_secs = None;
         for place in &mut self.places {
             place.since = Since::Nothing;
         }
@@ -114,7 +118,8 @@ impl Revisits {
     pub(super) fn forget_after(&mut self, after_secs: f64) {
         self.places.retain(|place| place.time_secs <= after_secs);
         self.newest_secs = self.newest_secs.min(after_secs);
-        self.see_to();
+        self.looked_secs = self.looked_secs.map(|looked| looked.min(after_secs));
+        self.forget_visits();
     }
 }
 
@@ -153,6 +158,14 @@ mod tests {
         assert!(!revisits.are_due(), "seen to, until the next turn is full");
         turn(&mut revisits, &mut time_secs, 699, 780);
         assert!(revisits.are_due(), "another turn");
+        revisits.see_to();
+        turn(&mut revisits, &mut time_secs, 780, 1161);
+        assert!(
+            !revisits.are_due(),
+            "a turn of a scan that has not grown by half"
+        );
+        turn(&mut revisits, &mut time_secs, 1161, 1380);
+        assert!(revisits.are_due(), "one that has");
         revisits.forget_after(1.0);
         assert!(!revisits.are_due() && revisits.places.len() < 5);
     }
