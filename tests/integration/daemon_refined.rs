@@ -24,7 +24,7 @@ turns = \"shared\"
 nice = 0
 ";
 
-/// Lists the frames of the demo to and fro, five minutes long: so slowly that a busy machine keeps up, and where it leaves frames out the
+/// Lists the frames of the demo to and fro, ten minutes long: so slowly that a busy machine keeps up, and where it leaves frames out the
 /// camera has not gone far. How many frames there are one way.
 fn sway(session: &Path) -> usize {
     fs::create_dir(session).unwrap();
@@ -42,7 +42,7 @@ fn sway(session: &Path) -> usize {
         let back = there[1..n_frames - 1].iter().rev();
         let mut longer = String::new();
         for (frame, image) in there.iter().chain(back).cycle().take(1800).enumerate() {
-            writeln!(longer, "{:.6} {image}", 100.0 + frame as f64 / 6.0).unwrap();
+            writeln!(longer, "{:.6} {image}", 100.0 + frame as f64 / 3.0).unwrap();
         }
         fs::write(session.join(name), longer).unwrap();
     }
