@@ -18,7 +18,7 @@ use depth_camera::Image;
 use pulp::Arch;
 
 /// A frame is fused for no more than so many: weights of a voxel end at 256 frames, which fewer images would fill with their own noise.
-const MOST_FRAMES_AS_ONE: usize = 4;
+pub(super) const MOST_FRAMES_AS_ONE: usize = 4;
 
 /// A frame of which a smaller share of the model's pixels has a normal shows specks, no surface; arbitrary, a square of 8 cm alone
 /// in the working range, 0.7 m before a Kinect II, has as much.

@@ -5,7 +5,7 @@
 //! rests keeps few frames, one that moves fast keeps most, and the newest frame is always there. A frame that is kept stands for
 //! those beside it that are not, as far as tracking did not break, and counts for them, four at most, where it is fused again.
 
-use super::eye::Eye;
+use super::eye::{Eye, MOST_FRAMES_AS_ONE};
 use super::packed_depth::PackedDepth;
 use super::pose_correction::PoseCorrection;
 use super::track::Track;
@@ -164,7 +164,7 @@ impl Keyframes {
     }
 
     /// How much would be missed without a frame: by how far it is from the one that would stand for it, and for how many that then
-    /// would. The first and the last are never let go.
+    /// would, the more so where it would not count for all of them. The first and the last are never let go.
     fn missed_without(&self, index: usize) -> f64 {
         let frame = &self.frames[index];
         let before = index.checked_sub(1).map(|before| &self.frames[before]);
@@ -172,7 +172,11 @@ impl Keyframes {
             return f64::INFINITY;
         };
         match self.standing_for(index).map(|other| &self.frames[other]) {
-            Some(other) => apart(frame, other) * (frame.n_frames + other.n_frames) as f64,
+            Some(other) => {
+                let n_frames = (frame.n_frames + other.n_frames) as f64;
+                let too_many = (n_frames / MOST_FRAMES_AS_ONE as f64).max(1.0);
+                apart(frame, other) * n_frames * too_many * too_many
+            }
             None => apart(frame, before).min(apart(frame, after)) * frame.n_frames as f64,
         }
     }
