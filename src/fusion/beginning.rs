@@ -9,6 +9,8 @@ use std::cmp::Ordering;
 
 /// So many frames are looked at.
 const N_FRAMES: usize = 6;
+/// With those after them by whose motion they are looked for.
+pub(super) const N_FIRST: usize = N_FRAMES + 2;
 /// A frame that would move by less stays: settling and refinement reach as far.
 const WORTH: Motion = Motion {
     rotation_rad: 0.003,
@@ -19,7 +21,7 @@ impl Fusion {
     /// Looks for the first frames on the finished model, where the motion of those after them would have them; the poses handed
     /// out are then to be moved by the correction. `None` if they lie where they were tracked, or poses were given.
     pub fn settle_beginning(&mut self) -> Option<PoseCorrection> {
-        let frames = self.keyframes.frames().get(..N_FRAMES + 2)?;
+        let frames = self.keyframes.frames().get(..N_FIRST)?;
         let is_unbroken = frames
             .iter()
             .all(|frame| frame.stretch == frames[0].stretch);

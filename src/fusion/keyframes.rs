@@ -5,6 +5,7 @@
 //! rests keeps few frames, one that moves fast keeps most, and the newest frame is always there. A frame that is kept stands for
 //! those beside it that are not, as far as tracking did not break, and counts for them, four at most, where it is fused again.
 
+use super::beginning::N_FIRST;
 use super::eye::{Eye, MOST_FRAMES_AS_ONE};
 use super::packed_depth::PackedDepth;
 use super::pose_correction::PoseCorrection;
@@ -46,9 +47,6 @@ pub struct Keyframes {
     memory_bytes: usize,
 }
 
-/// So many first frames, a quarter of all at most, are let go last: how they settle on the finished model depends on how the camera
-/// moved between them.
-const N_FIRST: usize = 8;
 /// Frames that are so far apart, or so long, show as much that is new.
 const APART: Motion = Motion {
     rotation_rad: 0.1,
@@ -140,6 +138,7 @@ impl Keyframes {
     /// Lets one of at least two frames go, neither the first nor, if there are more, the newest.
     fn let_one_go(&mut self) {
         let last = self.frames.len() - 1;
+        // How the first ones settle on the finished model depends on how the camera moved between them.
         let first = N_FIRST.min(self.frames.len() / 4).max(1);
         let missed = |index: &usize| self.missed[*index];
         let least = (first..last).min_by(|a, b| missed(a).total_cmp(&missed(b)));
