@@ -40,8 +40,8 @@ const PLACE: Motion = Motion {
     rotation_rad: 0.1,
     translation_m: 0.08,
 };
-/// So many places at most, 20 m of path; later ones are not kept.
-const MAX_PLACES: usize = 2000;
+/// So many places at most, of 0.9 kB; later ones are not kept.
+const MAX_PLACES: usize = 8000;
 /// So many of the places that look most alike are tried.
 const N_CANDIDATES: usize = 5;
 /// The model is looked at from so many of them a frame that it was not looked at from before: rays that march through the whole
@@ -98,12 +98,19 @@ impl Places {
         let is_near = |place: &Place| {
             motion_between(&place.world_from_camera, &track.world_from_camera).is_within(&PLACE)
         };
-        if self.places.len() < MAX_PLACES && !self.places.iter().any(is_near) {
-            self.places.push(Place {
-                world_from_camera: track.world_from_camera,
-                time_secs: track.time_secs,
-                seen: thumbnail(&eye.frame),
-            });
+        if self.places.len() == MAX_PLACES || self.places.iter().rev().any(is_near) {
+            return;
+        }
+        self.places.push(Place {
+            world_from_camera: track.world_from_camera,
+            time_secs: track.time_secs,
+            seen: thumbnail(&eye.frame),
+        });
+        if self.places.len() == MAX_PLACES {
+            tracing::warn!(
+                n_places = MAX_PLACES,
+                "a camera that is lost is found only where it has been by now: no more places are kept"
+            );
         }
     }
 
