@@ -53,8 +53,10 @@ impl Overlap {
     }
 }
 
-/// Largest distance of a pair of points, metres: what a full turn drifts, then what noise and slant leave.
-const MAX_DISTANCE_M: [f32; 3] = [0.04, 0.02, 0.01];
+/// What a full turn drifts at most, metres.
+pub(super) const MAX_DRIFT_M: f32 = 0.04;
+/// Largest distance of a pair of points, metres: drift, then what noise and slant leave.
+const MAX_DISTANCE_M: [f32; 3] = [MAX_DRIFT_M, 0.02, 0.01];
 /// Iterations at each of them, at most.
 const ITERATIONS: usize = 8;
 /// Largest angle between the normals of a pair: 40°.

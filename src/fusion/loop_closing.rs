@@ -5,11 +5,11 @@
 //! believed only if neither looks through the other's surface: inliers and residual cannot tell a false pair. In the end the
 //! fragments must lie as close to the surface that all frames make together as they did, or everything stays as it was.
 //!
-//! Not handled: places that were seen twice but drifted apart beyond the alignment's reach of 40 mm.
+//! Not handled: places that were seen twice but drifted apart beyond the alignment's [reach](MAX_DRIFT_M).
 
 use super::FusionParams;
 use super::eye::Eye;
-use super::fragment_alignment::{Alignment, align, mutual_overlap};
+use super::fragment_alignment::{Alignment, MAX_DRIFT_M, align, mutual_overlap};
 use super::fragments::{Fragment, cut};
 use super::fused_volume::FusedVolume;
 use super::icp;
@@ -328,6 +328,8 @@ fn aligned_pairs(
     goes_on: &GoesOn,
 ) -> Vec<Pair> {
     let margin_m = icp::BEHIND_VOXELS * params.voxel_size_m as f32;
+    // Before they are aligned, drift lies between them.
+    let reach_m = margin_m.max(MAX_DRIFT_M);
     let closing = &params.loop_closing;
     let guess = |source: usize, target: usize| nodes[target].inverse() * nodes[source];
     let n_fragments = fragments.len();
@@ -337,7 +339,7 @@ fn aligned_pairs(
         .flat_map_iter(|source| {
             let overlaps = |target: &usize| {
                 let (a, b) = (&fragments[source], &fragments[*target]);
-                mutual_overlap(a, b, &guess(source, *target), eye, margin_m).shared_share()
+                mutual_overlap(a, b, &guess(source, *target), eye, reach_m).shared_share()
                     >= closing.min_shared_share
             };
             let others = if step.goes_on() { source } else { 0 };

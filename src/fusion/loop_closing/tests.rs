@@ -12,16 +12,24 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A swing whose poses drift evenly, by `drift` from frame to frame.
 fn drifted(n_frames: usize, drift: &Vector6<f64>) -> (Keyframes, Vec<Pose>, Eye) {
+    displaced(n_frames, |index| (drift * index as f64, 0))
+}
+
+/// A swing whose frames are moved, and in stretches of tracking, by what is said of each.
+fn displaced(
+    n_frames: usize,
+    displacement: impl Fn(usize) -> (Vector6<f64>, usize),
+) -> (Keyframes, Vec<Pose>, Eye) {
     let (frames, truth, camera) = simulated_frames(n_frames);
     let noise = DepthNoise::of_sensor(Sensor::Kinect2);
     let mut eye = Eye::new(&camera, noise, small_params().depth_range());
     let mut keyframes = Keyframes::new(usize::MAX);
     for (index, (frame, pose)) in frames.iter().zip(&truth).enumerate() {
         let depth = frame.depth.as_ref().expect("Kinect II");
-        let off = increment(&(drift * index as f64));
+        let (off, stretch) = displacement(index);
         assert!(eye.take(depth));
-        let track = Track::at(off * pose, frame.device_time_secs);
-        keyframes.offer(&eye, &track, None, 0);
+        let track = Track::at(increment(&off) * pose, frame.device_time_secs);
+        keyframes.offer(&eye, &track, None, stretch);
     }
     (keyframes, truth, eye)
 }
@@ -79,6 +87,35 @@ fn drift_is_taken_back_alike_on_any_number_of_threads() {
     assert!(after.rotation_rad < 0.004, "{after:?}");
     let first = motion_between(&correction.at(frame.time_secs - 1e3), &Pose::identity());
     assert!(first.translation_m < 1e-12 && first.rotation_rad < 1e-7);
+}
+
+#[test]
+fn drift_along_the_view_is_found_as_far_as_alignment_reaches() {
+    // A camera that was lost, and found 30 mm behind where it was: more than surfaces may lie apart that are the same with these voxels.
+    let behind = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.03);
+    let (keyframes, truth, eye) = displaced(18, |index| match index {
+        0..9 => (Vector6::zeros(), 0),
+        _ => (behind, 1),
+    });
+    let params = FusionParams {
+        voxel_size_m: 0.002,
+        ..short_fragments()
+    };
+    assert!(icp::BEHIND_VOXELS * (params.voxel_size_m as f32) < 0.025);
+    let closed = closed(&keyframes, &eye, &params).expect("a better fit");
+    let frames = keyframes.frames();
+    let apart = |moved: &dyn Fn(&Keyframe) -> Pose| {
+        let tracked = moved(&frames[0]).inverse() * moved(&frames[17]);
+        let true_motion = truth[0].inverse() * truth[17];
+        motion_between(&true_motion, &tracked).translation_m
+    };
+    let before_m = apart(&|frame| frame.world_from_camera);
+    let correction = &closed.closure.correction;
+    let after_m = apart(&|frame| correction.apply(frame.time_secs, &frame.world_from_camera));
+    assert!(
+        before_m > 0.025 && after_m < 0.004,
+        "{before_m} m, {after_m} m"
+    );
 }
 
 #[test]
