@@ -39,12 +39,13 @@ pub struct Refused {
 }
 
 impl Refused {
-    /// What was refused, as a sentence for the operator; `None` if nothing was.
-    pub fn sentence(&self, memory_budget_mb: usize) -> Option<String> {
+    /// What was refused, as a sentence for the operator; `None` if nothing was. `memory_budget_mb` is of all volumes, of which the model
+    /// may have `model_mb`.
+    pub fn sentence(&self, memory_budget_mb: usize, model_mb: usize) -> Option<String> {
         let over_budget = (self.n_over_budget > 0).then(|| {
             format!(
-                "the model has reached fusion.memory_budget_mb, {memory_budget_mb}: new parts of the scene are not fused, \
-                 {} blocks in all frames",
+                "the model has reached its {model_mb} MiB of fusion.memory_budget_mb, {memory_budget_mb}: new parts of the scene are not \
+                 fused, {} blocks in all frames",
                 self.n_over_budget
             )
         });

@@ -329,7 +329,8 @@ impl Fusion {
     /// What was seen and found no place in the volume, as a sentence; `None` as long as everything did.
     pub fn refusal(&self) -> Option<String> {
         let refused = self.fused.band.refused();
-        refused.sentence(self.params.memory_budget_mb)
+        let model_mb = self.params.volume_budget_bytes() >> 20;
+        refused.sentence(self.params.memory_budget_mb, model_mb)
     }
 
     /// The model's surface, world frame.

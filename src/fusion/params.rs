@@ -24,7 +24,8 @@ pub struct FusionParams {
     pub depth_max_m: f64,
     /// Voxels seen with less than this weight (1 is one frontal view at 0.6 m) do not make a surface.
     pub min_surface_weight: f64,
-    /// Memory that the volume may take, MiB; parts of the scene beyond it are not fused, and told of.
+    /// Memory that the volumes of a scan may take together, MiB, of which the model may have a third; parts of the scene
+    /// beyond it are not fused, and told of.
     pub memory_budget_mb: usize,
     /// Alignment.
     pub icp: IcpParams,
@@ -56,6 +57,10 @@ pub struct FusionParams {
     /// Closing loops at the end of the scan.
     pub loop_closing: LoopClosingParams,
 }
+
+/// Volumes that there are at once: at the end of a scan the model as it was tracked, as it was fused last with its depth corrected, and as
+/// it is being fused again.
+const VOLUMES_AT_ONCE: usize = 3;
 
 impl Default for FusionParams {
     fn default() -> Self {
@@ -173,8 +178,13 @@ impl FusionParams {
     }
 
     fn volume_of(&self, voxel_size_m: f64, truncation_m: f64) -> TsdfVolume {
-        let budget_bytes = self.memory_budget_mb << 20;
+        let budget_bytes = self.volume_budget_bytes();
         TsdfVolume::new(voxel_size_m as f32, truncation_m as f32, budget_bytes)
+    }
+
+    /// What one of the volumes may take.
+    pub(super) fn volume_budget_bytes(&self) -> usize {
+        (self.memory_budget_mb << 20) / VOLUMES_AT_ONCE
     }
 
     /// The working range.
