@@ -9,7 +9,7 @@ use super::{
     ImageTrust, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate,
     refine, slow_gain_limit,
 };
-use crate::geometry::TriMesh;
+use crate::geometry::{Pose, TriMesh};
 use crate::shading::{Calibration, Gloss};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::Image;
@@ -79,6 +79,21 @@ fn a_surface_that_images_held_out_contradict_is_not_delivered() {
     assert!(held_out.refined.gradient > held_out.base.gradient);
     let text = RefineError::WorseThanBase(held_out).to_string();
     assert!(text.contains("% of the mean intensity"), "{text}");
+}
+
+#[test]
+fn views_that_look_elsewhere_do_not_judge() {
+    let away = Pose::rotation(Vector3::y() * std::f64::consts::PI);
+    // Those that would judge if all looked.
+    let result = refine_from(&FLAT.mesh(0.0025), |k, snapshot| {
+        if k % 4 == 1 {
+            snapshot.world_from_camera *= away;
+        }
+    });
+    let judgement = result.expect("delivered").judgement;
+    let judges: Vec<usize> = judgement.views.iter().map(|(view, _)| *view).collect();
+    assert_eq!(judges, [2]);
+    assert_eq!(judgement.n_comparing(), 1);
 }
 
 /// Lights a room in a snapshot of the plane, from one side of the image; half as bright there as the lamp makes the plane.

@@ -154,7 +154,7 @@ pub struct Refinement {
 
 /// Refines the surface of an object.
 ///
-/// A quarter of the views is held out while the surface is found and then judges it ([`Judgement`]); a last round takes all
+/// A quarter of the views that look at it is held out while the surface is found and then judges it ([`Judgement`]); a last round takes all
 /// views in. A single view judges nothing. After each accepted step `progress` is called; it returns false to cancel, which
 /// keeps what was reached.
 ///
@@ -167,7 +167,7 @@ pub fn refine(
     mut progress: impl FnMut(&Iteration) -> bool,
 ) -> Result<Refinement, RefineError> {
     let all = first_views(subject.snapshots.len());
-    let held_out = hold_out(all);
+    let held_out = hold_out(subject.looking());
     let learning = all & !held_out;
     let prepared = Preparation::new(subject, params, learning)?;
     let (base, errors_before) = prepared.base(subject, learning)?;
