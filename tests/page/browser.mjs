@@ -54,6 +54,23 @@ export async function state(page, ...names) {
   await page.waitForFunction((wanted) => wanted.includes(document.body.dataset.state), names, { timeout: 120_000 });
 }
 
+/** Looks from now on whether an element comes into a state, however shortly; what it returns waits for that. */
+export async function comesTo(page, selector, wanted) {
+  const handle = await page.evaluateHandle(([where, name]) => {
+    const element = document.querySelector(where);
+    const came = new Promise((resolve) => {
+      const observer = new MutationObserver(() => {
+        if (element.dataset.state !== name) return;
+        observer.disconnect();
+        resolve();
+      });
+      observer.observe(element, { attributeFilter: ['data-state'] });
+    });
+    return { came };
+  }, [selector, wanted]);
+  return () => handle.evaluate(({ came }) => came);
+}
+
 /** Waits until a number in an element's data rises above a value, and returns it. */
 export async function rises(page, selector, key, above) {
   const handle = await page.waitForFunction(

@@ -3,7 +3,7 @@
 
 import { strict as assert } from 'node:assert';
 import { after, before, test } from 'node:test';
-import { DESKTOP, PHONE, assertClean, changes, count, differing, holdBack, launch, look, openPage, rises, save, shows, state } from './browser.mjs';
+import { DESKTOP, PHONE, assertClean, changes, comesTo, count, differing, holdBack, launch, look, openPage, rises, save, shows, state } from './browser.mjs';
 import { standIn } from './stand_in.mjs';
 
 const DAEMON = process.env.RELIEF_PAGE_URL;
@@ -256,12 +256,13 @@ test('goes by the last good scan, and tells of one that failed', { timeout: 300_
     await page.locator('#mode-compare:enabled').click();
     await compared(sessions[0]);
     await page.locator('#mode-live').click();
+    const refinesAgain = await comesTo(page, '#refinement', 'running');
     await press('stop');
     await state(page, 'idle');
     whole = sessions.find((session) => session.id === id);
     assert.equal(sessions[0].interim_of, id);
     assert.ok(sessions[0].id > id, 'its name is younger');
-    await page.locator('#refinement[data-state=running]').waitFor();
+    await refinesAgain();
     await page.locator('#refinement[data-state=done]').waitFor({ timeout: 60_000 });
     await page.locator('#mode-compare:enabled').click();
     await compared(whole);
@@ -272,9 +273,10 @@ test('goes by the last good scan, and tells of one that failed', { timeout: 300_
   });
 
   await t.test('refines the whole again', async () => {
+    const refinesAgain = await comesTo(page, '#refinement', 'running');
     const [request] = await Promise.all([asked(), press('refine')]);
     assert.ok(request.url().includes(whole.id));
-    await page.locator('#refinement[data-state=running]').waitFor();
+    await refinesAgain();
     await page.locator('#refinement[data-state=done]').waitFor({ timeout: 60_000 });
   });
 
