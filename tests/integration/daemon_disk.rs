@@ -17,10 +17,6 @@ use std::{
 };
 use tempfile::TempDir;
 
-/// Voxels of about three of the small camera's pixels: among finer ones a camera that stands still is soon lost, and that is told before
-/// what the disk lacks.
-const COARSE: &str = "[fusion]\nvoxel_size_m = 0.025\n";
-
 /// A daemon that records onto a disk of its own; it ends before the disk does.
 struct RecordingDaemon {
     daemon: Daemon,
@@ -36,10 +32,8 @@ impl RecordingDaemon {
         let bench = Workbench::with_frames(1);
         prolong(&bench.session());
         symlink(&disk.0, bench.path("data")).unwrap();
-        let config = bench.write("coarse.toml", COARSE);
-        let arguments = ["--record", "--config", config.to_str().unwrap()];
         Some(RecordingDaemon {
-            daemon: Daemon::start_wanting(min_free_disk_mb, bench, &arguments),
+            daemon: Daemon::start_wanting(min_free_disk_mb, bench, &["--record"]),
             disk,
             _mounted_at: mounted_at,
         })

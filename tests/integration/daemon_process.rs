@@ -13,6 +13,8 @@ use std::{
 
 /// How much room a scan wants, MB.
 const MIN_FREE_DISK_MB: &str = "RELIEF_CAPTURE__MIN_FREE_DISK_MB";
+/// Voxels of about three of the small camera's pixels: among finer ones a camera that stands still is soon lost.
+const COARSE_VOXELS: (&str, &str) = ("RELIEF_FUSION__VOXEL_SIZE_M", "0.025");
 
 /// A running daemon; killed when dropped.
 pub struct Daemon {
@@ -22,11 +24,11 @@ pub struct Daemon {
 }
 
 impl Daemon {
-    /// Starts a daemon on a free port, and waits until it answers.
+    /// Starts a daemon on a free port over a camera that stands still, and waits until it answers.
     pub fn start(arguments: &[&str]) -> Self {
         let bench = Workbench::with_frames(1);
         prolong(&bench.session());
-        Self::start_in(bench, arguments)
+        Self::start_wanting(0, bench, arguments)
     }
 
     /// Starts a daemon over the recording of a bench.
@@ -35,9 +37,11 @@ impl Daemon {
         Self::spawn(bench, command)
     }
 
-    /// Starts a daemon over the recording of a bench whose scans want so much room on the disk, MB.
+    /// Starts a daemon over the recording of a bench, of a camera that stands still, whose scans want so much room on the disk, MB.
     pub fn start_wanting(min_free_disk_mb: u32, bench: Workbench, arguments: &[&str]) -> Self {
         let mut command = command(&bench, arguments);
+        let (key, voxels) = COARSE_VOXELS;
+        command.env(key, voxels);
         command.env(MIN_FREE_DISK_MB, min_free_disk_mb.to_string());
         Self::spawn(bench, command)
     }
