@@ -1,13 +1,15 @@
 //! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
 //! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 //!
-//! A Kinect II suffers from multipath, and from an error by range alone; a Kinect I has a slow error of its depth and reads its rows one
-//! after the other. Only the frames of a whole scan tell the three ([`RangeError`], [`DepthField`](crate::fusion::DepthField),
+//! A Kinect II suffers from multipath, and from an error by range alone, and a decoder may have computed its depth by the rays of
+//! the wrong rows; a Kinect I has a slow error of its depth and reads its rows one after the other. Only the frames of a whole scan
+//! tell all but the first ([`RangeError`], [`DepthField`](crate::fusion::DepthField),
 //! [`RollingShutter`](crate::fusion::RollingShutter)). Pure: what is predicted of the frames is kept here as long as fusion holds them.
 
 mod carry;
 mod measured;
 mod predictions;
+mod ray_order;
 mod revision;
 #[cfg(test)]
 mod tests;
@@ -24,6 +26,7 @@ use crate::{
 };
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
 use predictions::Predictions;
+use ray_order::RayOrder;
 use revision::Known;
 
 /// Corrects the depth of one scan.
@@ -33,6 +36,8 @@ pub struct DepthCorrection {
     fusion: FusionParams,
     /// `None` for a sensor that suffers from none, or where it is not wanted.
     multipath: Option<Multipath>,
+    /// Where depth is known to have been computed with the rays of its image upside down, which is put right in every frame.
+    rays_upside_down: Option<RayOrder>,
     /// The error by range that the device's calibration tells, taken off every frame.
     range: Option<RangeError>,
     /// The white level that frames are corrected for while the scan goes on; `None` before the first.
@@ -56,9 +61,12 @@ impl DepthCorrection {
     ) -> Self {
         let multipath = has_multipath.then(|| Multipath::new(info, calibration));
         let measured = calibration.light.white_level;
+        let rays = RayGrid::new(CameraModel::new(info.intrinsics));
+        let is_upside_down = fusion.rays_upside_down && info.sensor == Sensor::Kinect2;
         DepthCorrection {
             info: info.clone(),
-            rays: RayGrid::new(CameraModel::new(info.intrinsics)),
+            rays_upside_down: is_upside_down.then(|| RayOrder::upside_down(&rays)),
+            rays,
             fusion: fusion.clone(),
             multipath: multipath.flatten(),
             range: calibration
@@ -76,11 +84,13 @@ impl DepthCorrection {
     /// A frame without the errors of its depth that are known while the scan goes on; `None` if there are none.
     pub fn correct(&mut self, frame: &Frame) -> Option<Frame> {
         let depth = frame.depth.as_ref();
-        let ranged = self.range.as_ref().zip(depth);
+        let righted = self.rays_upside_down.as_ref().zip(depth);
+        let righted = righted.map(|(rays, depth)| rays.righted(depth));
+        let ranged = self.range.as_ref().zip(righted.as_ref().or(depth));
         let ranged = ranged.map(|(range, depth)| range.corrected(depth, &self.rays));
-        let ranged = ranged.map(|depth| with_depth(frame, depth));
-        self.without_multipath(ranged.as_ref().unwrap_or(frame))
-            .or(ranged)
+        let known = ranged.or(righted).map(|depth| with_depth(frame, depth));
+        self.without_multipath(known.as_ref().unwrap_or(frame))
+            .or(known)
     }
 
     /// A frame without its multipath; `None` if nothing can be predicted for it.
@@ -161,11 +171,17 @@ impl DepthCorrection {
     ) -> Image<f32> {
         let nearest = self.predictions.near(time_secs);
         let predicted = self.multipath.as_ref().zip(nearest);
+        let righted = |depth_m: Image<f32>| match &known.rays {
+            Some(rays) => rays.righted(&depth_m),
+            None => depth_m,
+        };
         let depth = predicted.map_or_else(
-            || depth_m.clone(),
+            || righted(depth_m.clone()),
             |(multipath, nearest)| {
-                let bias = nearest.bias_on(model, multipath, depth_m, world_from_camera);
+                let here = righted(depth_m.clone());
+                let bias = nearest.bias_on(model, multipath, &here, world_from_camera);
                 let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
+                let raw = righted(raw);
                 let raw = match &known.range {
                     Some(range) => range.corrected(&raw, &self.rays),
                     None => raw,

@@ -1,12 +1,14 @@
 //! Scans of the simulated Kinect II, fused again at their end.
 
 use super::predictions::nanos;
+use super::ray_order::RayOrder;
 use super::*;
 use crate::{
     fusion::{DepthNoise, TrackingOutcome},
     geometry::{CellGrid, motion_between},
 };
 use depth_camera::DepthCamera;
+use nalgebra::{Translation3, Vector3};
 use simulated::SimulatedCamera;
 use std::time::Duration;
 
@@ -177,9 +179,7 @@ fn multipath_is_taken_once_off_a_frame_without_an_infrared_image() {
     let (time_secs, pose) = (frame.time_secs, frame.world_from_camera);
     let known = Known {
         white: correction.live,
-        range: None,
-        field: None,
-        shutter: None,
+        ..Known::default()
     };
     let anew = |correction: &DepthCorrection, depth_m: &Image<f32>| {
         let depth = (depth_m, correction.corrected_by(time_secs));
@@ -306,4 +306,70 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
     // What is told to end at once has nothing to tell.
     let told_to_end = correction.measure(&fusion, &|_| false);
     assert_eq!(told_to_end.range_error, Some(none));
+}
+
+#[test]
+fn a_model_from_which_its_frames_lie_farther_does_not_take_the_place_of_one() {
+    let (correction, good) = scanned(Fusion::fuse_at);
+    let (_, bad) = scanned(|fusion, depth, time, pose| {
+        // Two thirds of the band to and fro, one frame after the other.
+        let off_m = [-0.013, 0.013][fusion.n_fused() % 2];
+        let along = pose.rotation * Vector3::z() * off_m;
+        let off = Translation3::from(along) * pose;
+        fusion.fuse_at(depth, time, &off)
+    });
+    assert!(correction.lies_as_close(&bad, &good) && correction.lies_as_close(&good, &good));
+    assert!(!correction.lies_as_close(&good, &bad));
+}
+
+/// A frame whose decoder took the rays of the image upside down.
+fn bent(frame: &Frame) -> Frame {
+    let rays = RayGrid::new(CameraModel::new(
+        SimulatedCamera::kinect2_plaque(1, 7).info().intrinsics,
+    ));
+    let order = RayOrder::upside_down(&rays);
+    let depth = frame.depth.as_ref().expect("a Kinect II");
+    let straight = order.righted(&Image::filled(depth.width(), depth.height(), 1.0));
+    let pairs = depth.data().iter().zip(straight.data());
+    let bent = pairs.map(|(z, factor)| z / factor);
+    let bent = Image::from_vec(depth.width(), depth.height(), bent.collect());
+    with_depth(frame, bent)
+}
+
+#[test]
+fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
+    let frames = rendered(16);
+    let camera = SimulatedCamera::kinect2_plaque(frames.len(), 7);
+    let truths: Vec<Image<f32>> = (0..frames.len()).map(|k| camera.true_depth(k)).collect();
+    let revised = |deliver: fn(&Frame) -> Frame| {
+        let (correction, fusion) = scanned_as(&frames, &calibration(1.0), deliver, Fusion::fuse_at);
+        let revised = correction.revise(&fusion, &|_| true);
+        (fusion, revised.expect("light comes over the table"))
+    };
+    let (_, right) = revised(Frame::clone);
+    assert!(!right.rays_were_upside_down());
+    let (fusion, righted) = revised(bent);
+    assert!(righted.rays_were_upside_down());
+    let before = off_m(&fusion, &truths);
+    let (after, best) = (
+        off_m(&righted.fusion, &truths),
+        off_m(&right.fusion, &truths),
+    );
+    assert!(
+        after - best < 0.2 * (before - best),
+        "{before} m, {after} m, {best} m"
+    );
+
+    let info = camera.info();
+    let params = FusionParams {
+        rays_upside_down: true,
+        ..FusionParams::default()
+    };
+    let mut knowing = DepthCorrection::new(info, &calibration(1.0), false, &params);
+    let frame = knowing.correct(&bent(&frames[0])).expect("it was bent");
+    let (straight, seen) = (frame.depth.as_ref(), frames[0].depth.as_ref());
+    let (straight, seen) = (straight.expect("a Kinect II"), seen.expect("a Kinect II"));
+    for (a, b) in straight.data().iter().zip(seen.data()) {
+        assert!((a - b).abs() < 1e-6, "{a} m for {b} m");
+    }
 }

@@ -15,6 +15,7 @@ use super::fused_volume::FusedVolume;
 use super::icp;
 use super::improvement::{Counted, GoesOn, Work};
 use super::keyframes::Keyframe;
+use super::misfit::mean;
 use super::pose_correction::PoseCorrection;
 use super::pose_graph::{Edge, optimise};
 use super::volume::TsdfVolume;
@@ -269,10 +270,7 @@ fn misfit_m<'a>(
             (sum, n_points)
         })
         .collect();
-    let (sum, n_points) = sums
-        .iter()
-        .fold((0.0, 0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
-    sum / n_points.max(1) as f64
+    mean(&sums).unwrap_or_default()
 }
 
 /// Two fragments and how they stand to one another.

@@ -55,6 +55,7 @@ mod frame_patches;
 mod keyframes;
 mod loop_closing;
 mod loops_aside;
+mod misfit;
 mod packed_depth;
 mod pose_correction;
 mod pose_graph;

@@ -48,6 +48,9 @@ pub struct FusionParams {
     pub rolling_shutter: bool,
     /// Whether the error that a Kinect II's depth has by range alone is measured by the scan itself and taken off.
     pub range_error: bool,
+    /// Whether depth of a Kinect II was computed with the rays of its image upside down, as libfreenect2's CPU and OpenGL decoders do, and
+    /// is to be put right from the first frame; a scan tells it at its end.
+    pub rays_upside_down: bool,
     /// How often a scan may be fused again at its end with what it has told of its depth.
     pub max_revisions: usize,
     /// Polishing of given poses.
@@ -82,6 +85,7 @@ impl Default for FusionParams {
             depth_field: true,
             rolling_shutter: true,
             range_error: true,
+            rays_upside_down: false,
             max_revisions: 4,
             use_infrared: true,
             polish: PolishParams::default(),

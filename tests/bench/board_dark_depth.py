@@ -4,7 +4,7 @@
     board_dark_depth.py SESSION     (the session `board-k2-real`; needs numpy, scipy and pillow)
 
 Of each view that shows the board: how dark the dark squares are against the white ones, the tilt of depth against the board's plane
-z = 0 of `poses.txt` (mm in 100 rows), how far white pixels lie from a quadratic fitted to them, and dark ones from the same, 6 mm and
+z = 0 of `poses.txt` (mm in 100 rows), as recorded and if the rays by which it was computed were upside down, how far white pixels lie from a quadratic fitted to them, and dark ones from the same, 6 mm and
 more from an edge. Then what a pixel would be off by if light of its neighbours, weighted by a Gaussian, were mixed into it as a phasor
 at 100 MHz: a Gaussian's share is fitted to the dark pixels of all views, for each width alone and for all together.
 """
@@ -33,6 +33,10 @@ def listed(folder, name):
 
 def quadratic(u, v):
     return np.stack([np.ones_like(u), u, v, u * u, v * v, u * v], -1)
+
+
+def linear(u, v):
+    return np.stack([np.ones_like(u), u, v], -1)
 
 
 def mixed_in(depth, intensity, true_range, length):
@@ -69,9 +73,11 @@ def main(folder):
             print(f"view {number}: {white.sum()} white pixels are not saturated, left out")
             continue
         fit = np.linalg.lstsq(quadratic(u[white], v[white]), off[white], rcond=None)[0]
+        righted = 1e3 * (depth * length[::-1] / length - true_depth)
+        tilt, righted_tilt = (np.linalg.lstsq(linear(u[white], v[white]), e[white], rcond=None)[0][2] for e in (off, righted))
         left = off - quadratic(u, v) @ fit
         print(f"view {number}: {true_depth[white].mean():.2f} m, dark {np.median(intensity[dark]) / np.median(intensity[white]):.3f} of white, "
-              f"tilt {fit[2]:.0f} mm, white within {left[white].std():.1f} mm, dark {left[dark].mean():+.1f} \u00b1 {left[dark].std():.1f} mm")
+              f"tilt {tilt:.0f} mm, righted {righted_tilt:.0f} mm, white within {left[white].std():.1f} mm, dark {left[dark].mean():+.1f} \u00b1 {left[dark].std():.1f} mm")
         mixtures.append(np.stack([mixture[dark] for mixture in mixed_in(depth, intensity, true_depth * length, length)], -1))
         offs.append(left[dark])
     mixtures, offs = np.concatenate(mixtures), np.concatenate(offs)
