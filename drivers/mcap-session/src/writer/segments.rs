@@ -132,12 +132,16 @@ impl SegmentWriter {
         };
         let path = open.path.clone();
         act(open).map_err(|error| {
+            let error = io_error(&path)(error);
             self.open = None;
             // Where even that fails, the next to open the recording tries again.
             if let Ok(mended) = repair::repair_held(&self.folder, &mut self.lock) {
                 self.record = mended;
+                self.record.stopped_because = Some(error.to_string());
+                // Without a word of why it ended it is whole all the same.
+                let _ = self.record.write(&self.folder);
             }
-            io_error(&path)(error)
+            error
         })
     }
 }

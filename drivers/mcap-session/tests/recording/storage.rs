@@ -148,6 +148,8 @@ fn a_full_disk_ends_the_recording_and_keeps_what_was_written() {
     assert_eq!(source.kind(), io::ErrorKind::StorageFull);
     let record = SessionRecord::read(&path).unwrap();
     assert_eq!(record.state, State::Repaired);
+    let why = record.stopped_because.unwrap();
+    assert!(why.contains("No space left on device"), "{why}");
     let played = play(&path).unwrap();
     assert_as_recorded(&camera_info(256, 212), &played.frames);
     let note = record.repair.unwrap();
