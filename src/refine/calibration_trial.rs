@@ -99,7 +99,7 @@ impl CalibrationTrial<'_> {
 
     /// Of the views that judge, on the albedo that the others tell; `None` where either see nothing.
     fn slow_gain(&self, level: &Level, views: &[View], gloss: Gloss) -> Option<f64> {
-        let judges = hold_out(self.asked);
+        let judges = hold_out(self.asked & self.subject.looking());
         let (params, mesh) = (self.params, &level.mesh);
         let rounds = Rounds { params, level };
         let sites = Sites::new(params.sites, mesh, views, self.asked & !judges);
