@@ -239,8 +239,11 @@ fn settle(
     let drift = drift_edges(frames, fragments, tracked);
     let mut nodes = tracked.to_vec();
     let mut pairs = Vec::new();
+    let mut reach_m = MAX_DRIFT_M;
     for _ in 0..ROUNDS {
-        pairs = aligned_pairs(fragments, &nodes, eye, params, goes_on);
+        pairs = aligned_pairs(fragments, &nodes, eye, params, reach_m, goes_on);
+        // The first round has taken back what lay between them.
+        reach_m = 0.0;
         let mut edges = drift.clone();
         edges.extend(pairs.iter().map(Pair::edge));
         optimise(&mut nodes, &edges);
@@ -317,17 +320,17 @@ fn drift_edges(frames: &[Keyframe], fragments: &[Fragment], tracked: &[Pose]) ->
         .collect()
 }
 
-/// Aligns the pairs that see the same surface, and keeps those that can be true; fewer if it shall not go on.
+/// Aligns the pairs that see the same surface, as far apart as `reach_m`, and keeps those that can be true; fewer if it shall not go on.
 fn aligned_pairs(
     fragments: &[Fragment],
     nodes: &[Pose],
     eye: &Eye,
     params: &FusionParams,
+    reach_m: f32,
     goes_on: &GoesOn,
 ) -> Vec<Pair> {
     let margin_m = icp::BEHIND_VOXELS * params.voxel_size_m as f32;
-    // Before they are aligned, drift lies between them.
-    let reach_m = margin_m.max(MAX_DRIFT_M);
+    let reach_m = reach_m.max(margin_m);
     let closing = &params.loop_closing;
     let guess = |source: usize, target: usize| nodes[target].inverse() * nodes[source];
     let n_fragments = fragments.len();
