@@ -17,6 +17,8 @@ pub struct MeasuredDepth {
     pub white: Option<MeasuredWhite>,
     /// The error by range alone: what was known of it and what the scan shows beside; `None` if there is neither.
     pub range_error: Option<RangeError>,
+    /// Whether the scan's depth was computed with the rays of its image upside down, and what was measured is of depth put right.
+    pub rays_were_upside_down: bool,
 }
 
 /// A device's white level as one scan tells it.
@@ -40,7 +42,9 @@ impl DepthCorrection {
         let settled = self.settled(fusion, goes_on);
         let shown = settled.revised.as_ref().and_then(Revised::range_error);
         let range_error = together(self.range.as_ref(), shown, RangeError::plus);
+        let revised = settled.revised.as_ref();
         MeasuredDepth {
+            rays_were_upside_down: revised.is_some_and(Revised::rays_were_upside_down),
             white: self.settled_white(fusion, settled),
             range_error,
         }

@@ -47,7 +47,7 @@ const MAX_LEFT_SHARE: f64 = 0.93;
 /// Turns of motions and planes until a view lies as well as it can on itself put right.
 const MOTION_ROUNDS: usize = 3;
 /// Turns of all views that were tracked until they agree as well as they can.
-const SETTLING_ROUNDS: usize = 6;
+const SETTLING_ROUNDS: usize = 4;
 /// Patches that lie farther apart count for less than half while views are settled, metres: three times what agreeing ones scatter by.
 const SETTLING_SCALE_M: f64 = 0.002;
 /// Motions that patches do not hold, as along a wall, are damped by this share of all that they hold.
@@ -107,7 +107,13 @@ impl RayOrder {
             righted_mm = 1e3 * righted_m,
             "order of rays: how far views of one surface lie apart"
         );
-        (righted_m <= MAX_LEFT_SHARE * as_is_m).then_some(upside_down)
+        let is_told = righted_m <= MAX_LEFT_SHARE * as_is_m;
+        // A turn that all given poses are off by looks like a bend, until views are settled.
+        let agrees = || {
+            let settled = upside_down.apart_m(&views, false);
+            settled.is_some_and(|[as_is_m, righted_m]| righted_m < as_is_m)
+        };
+        (is_told && (!are_given || agrees())).then_some(upside_down)
     }
 
     /// How far views (depth in metres, world from camera) of one surface lie apart as they are, and put right, metres; `None` if too few
@@ -121,14 +127,17 @@ impl RayOrder {
             (as_is, righted)
         });
         let (as_is, righted): (Vec<View>, Vec<View>) = both.unzip();
-        let apart_m = |mut views: Vec<View>| {
-            let rounds = if are_given { 0 } else { SETTLING_ROUNDS };
-            for _ in 0..rounds {
+        if are_given {
+            return Some([self.median_apart_m(&as_is)?, self.median_apart_m(&righted)?]);
+        }
+        let settled_m = |mut views: Vec<View>| {
+            for _ in 0..SETTLING_ROUNDS {
                 self.settle(&mut views);
             }
             self.median_apart_m(&views)
         };
-        Some([apart_m(as_is)?, apart_m(righted)?])
+        let (as_is_m, righted_m) = rayon::join(|| settled_m(as_is), || settled_m(righted));
+        Some([as_is_m?, righted_m?])
     }
 
     /// The motion in the camera's frame by which a depth image put right lies best on the image as it was, by which it was tracked.
@@ -150,23 +159,19 @@ impl RayOrder {
         (view(depth_m), view(&self.righted(depth_m)))
     }
 
-    /// Moves every view to where its patches lie best on the planes of the others.
+    /// Moves one view after the other to where its patches lie best on the planes of the others.
     fn settle(&self, views: &mut [View]) {
-        let settled = |index: usize| {
-            let view = &views[index];
+        for index in 0..views.len() {
             let (mut rows, mut apart) = (Vec::new(), Vec::new());
             self.each_pair(views, index, |patch, normal, apart_m| {
                 let weight = 1.0 / (1.0 + (apart_m / SETTLING_SCALE_M).powi(2));
                 rows.push((point_to_plane_row(&patch.centre.coords, &normal), weight));
                 apart.push(-apart_m);
             });
-            let motion = MotionEquations::new(rows, DAMPING)
-                .map(|equations| increment(&equations.explaining(apart.into_iter())));
-            view.world_from_camera * motion.unwrap_or_else(Pose::identity)
-        };
-        let poses: Vec<Pose> = (0..views.len()).into_par_iter().map(settled).collect();
-        for (view, pose) in views.iter_mut().zip(poses) {
-            view.world_from_camera = pose;
+            if let Some(equations) = MotionEquations::new(rows, DAMPING) {
+                views[index].world_from_camera *=
+                    increment(&equations.explaining(apart.into_iter()));
+            }
         }
     }
 

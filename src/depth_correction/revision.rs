@@ -95,8 +95,12 @@ impl DepthCorrection {
         let is_long = has_multipath && all.len() > self.max_sought_by;
         let few = is_long.then(|| fusion.keyframes_at_most(self.max_sought_by));
         let frames = few.as_deref().unwrap_or(all);
+        let may_revise = self.fusion.max_revisions > 0;
+        let mut rays = may_revise.then(|| self.ray_order(fusion)).flatten();
+        // What is bent is put right before anything else is asked: a bent model tells nothing.
+        let n_bent = usize::from(rays.is_some());
         let mut n_passes = 0;
-        for round in 0..self.fusion.max_revisions {
+        for round in 0..self.fusion.max_revisions + n_bent {
             let work = Work::CorrectDepth(round + 1);
             if !goes_on(work.at(0, frames.len())) {
                 break;
@@ -105,30 +109,27 @@ impl DepthCorrection {
             let mut known = revised.as_ref().map_or_else(
                 || Known {
                     white: start,
-                    rays: self.ray_order(fusion),
+                    rays: rays.clone(),
                     ..Known::default()
                 },
                 |revised| revised.known.clone(),
             );
-            let mut has_more = has_multipath && round < MODEL_ROUNDS;
-            has_more |= revised.is_none() && known.rays.is_some();
-            let asks_sensor = round < SENSOR_ROUNDS;
+            let is_bent = revised.is_none() && known.rays.is_some();
+            let mut has_more = is_bent || has_multipath && round < MODEL_ROUNDS + n_bent;
+            let asks_sensor = !is_bent && round < SENSOR_ROUNDS + n_bent;
             has_more |= asks_sensor && self.add_what_frames_show(current, &mut known);
-            // A scan that shows none at first shows none later, and asking takes a second. A bent model tells nothing.
-            let n_bent = usize::from(known.rays.is_some());
+            // A scan that shows none at first shows none later, and asking takes a second.
             let may_show_range = round == n_bent || known.range.is_some();
             let asks_range = asks_sensor && self.fusion.range_error && may_show_range;
-            let asks_white = revised.is_some() && !self.is_measured;
+            let asks_white = round > n_bent && revised.is_some() && !self.is_measured;
             let is_asked = has_multipath && (asks_range || asks_white);
             let compared = is_asked.then(|| self.compared(current, known.white));
             let mut views = compared.flatten();
             let known_range = known.range.clone();
             let has_range = asks_range && add_what_views_show(&mut views, &mut known);
             has_more |= has_range;
-            if revised.is_some() {
-                told = views
-                    .filter(|_| asks_white)
-                    .and_then(|views| self.evidence(&views, known.white));
+            if asks_white {
+                told = views.and_then(|views| self.evidence(&views, known.white));
                 if let Some((evidence, search)) = told.zip(search.as_mut()) {
                     let next = search.next(known.white, evidence);
                     has_more |= !next.will_do;
@@ -147,6 +148,8 @@ impl DepthCorrection {
                 |known| self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
             match fuse(known).or_else(|| fuse(without_range?)) {
                 Some(again) => (revised, told) = (Some(again), None),
+                // Put right it loses its track, and is taken as it is.
+                None if is_bent => rays = None,
                 None => {
                     // With an error of range taken off they tell of a scan that there is not.
                     told = told.filter(|_| !has_range);
@@ -158,9 +161,10 @@ impl DepthCorrection {
             let (known, work) = (found.known.clone(), Work::CorrectDepth(n_passes + 1));
             revised = self.fuse_again(all, fusion, revised.as_ref(), known, work, goes_on);
         }
-        let is_better = |revised: &Revised| self.lies_as_close(fusion, &revised.fusion);
-        if !revised.as_ref().is_none_or(is_better) {
-            (revised, told) = (None, None);
+        revised = revised.filter(|revised| self.lies_as_close(fusion, &revised.fusion));
+        if revised.is_none() {
+            // What was asked was of a scan that there is not.
+            (search, told) = (start.map(WhiteSearch::from), None);
         }
         Settled {
             revised,
@@ -196,13 +200,17 @@ impl DepthCorrection {
         told.flatten()
     }
 
-    /// Where frames lie that were tracked, before any of them is fused again: put right, a frame lies otherwise, and the first stays where
-    /// it was.
+    /// Where frames lie before any of them is fused again: put right, one that was tracked lies otherwise, and the first stays where it was.
     fn start_of(frames: &[Keyframe], known: &Known, is_given: bool) -> Vec<Pose> {
         let tracked = |frame: &Keyframe| frame.world_from_camera;
-        let Some(rays) = known.rays.as_ref().filter(|_| !is_given) else {
+        let Some(rays) = known.rays.as_ref() else {
             return frames.iter().map(tracked).collect();
         };
+        if is_given {
+            // Polished they lie as bent depth did.
+            let given = |frame: &Keyframe| frame.given.unwrap_or(frame.world_from_camera);
+            return frames.iter().map(given).collect();
+        }
         let righted = |frame: &Keyframe| tracked(frame) * rays.motion_of(&frame.depth_m());
         let mut poses: Vec<Pose> = frames.par_iter().map(righted).collect();
         if let Some((first, frame)) = poses.first().zip(frames.first()) {
@@ -283,8 +291,15 @@ impl DepthCorrection {
             }
             let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
             let before = path[n_done].world_from_camera;
-            let seen = (&frame.depth_m(), self.corrected_by(time_secs));
-            let mut depth = self.anew(seen, time_secs, &before, model, &known);
+            let seen = frame.depth_m();
+            let mut depth = match (revised, &known.rays) {
+                // On a bent model multipath is predicted no better than it was.
+                (None, Some(rays)) => rays.righted(&seen),
+                _ => {
+                    let seen = (&seen, self.corrected_by(time_secs));
+                    self.anew(seen, time_secs, &before, model, &known)
+                }
+            };
             if let Some(shutter) = &known.shutter {
                 depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
             }

@@ -24,6 +24,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "depth_correction",
         &[
             "geometry",
+            "robust",
             "shading",
             "interreflection",
             "multipath",

@@ -111,6 +111,13 @@ fn without_white_level(calibration: Calibration) -> Calibration {
 }
 
 fn print(measured: &MeasuredDepth) -> io::Result<()> {
+    if measured.rays_were_upside_down {
+        writeln!(
+            Stdout,
+            "its depth was computed with the rays of the image upside down, which was put right before anything was measured: set \
+             fusion.rays_upside_down = true where recordings come from that decoder"
+        )?;
+    }
     match &measured.white {
         Some(measured) => {
             let white = measured.white.0;
