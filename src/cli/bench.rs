@@ -1,4 +1,4 @@
-//! `relief bench`: a recording through tracking and fusion alone, and what each step of a frame costs.
+//! `relief bench`: a recording through depth correction, tracking and fusion alone, and what each step of a frame costs.
 //!
 //! Processor time is that of the whole process, all threads together, which other work on the machine disturbs less than
 //! wall time. Reading the recording is not measured. This is scoring: where the recording has measured poses, they are read.
@@ -11,16 +11,18 @@ use super::{
     stdout::Stdout,
 };
 use anyhow::Context;
-use depth_camera::{CameraInfo, Image};
+use depth_camera::{CameraInfo, Frame, Image};
 use relief::{
     capture::IrOffset,
     config::{self, CalibrationPlaces, Config, FoundCalibration},
+    depth_correction::DepthCorrection,
     devices::open_recording,
     evaluate::{PosePair, TrajectoryError, trajectory_error},
     fusion::{DepthNoise, Fit, Fusion, FusionStep, InfraredOptics, LiveMesh, TrackingOutcome},
     geometry::CameraModel,
     pipeline::{GivenPoses, infrared_optics, peak_memory_bytes},
     robust,
+    shading::Calibration,
 };
 use replay::Pacing;
 use serde::Serialize;
@@ -38,6 +40,8 @@ struct Measured {
     depth_max_m: f64,
     threads: usize,
     frames: Frames,
+    /// Median processor time of what is taken off a frame's depth before it is tracked, not among its steps; 0 where that is nothing.
+    depth_correction_cpu_ms: f64,
     /// Median processor time of each step and of a whole frame, all threads together.
     cpu_ms: Vec<StepTime>,
     frame_cpu_ms: f64,
@@ -113,9 +117,9 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     let calibration = found_calibration(args, camera.info())?.calibration;
     let ir_offset = IrOffset::nearest(calibration.ir_offset_px);
     let infrared = infrared_optics(&config.fusion, &calibration, camera.info());
-    let mut run = Run::new(camera.info(), &config, infrared);
+    let mut run = Run::new(camera.info(), &config, &calibration, infrared);
     while let Some(frame) = run::next_frame(camera.as_mut(), &mut run.frames.damaged)? {
-        let frame = ir_offset.remove_from(frame);
+        let frame = pool.install(|| run.corrected(ir_offset.remove_from(frame)));
         if let Some(depth) = &frame.depth {
             if let Some(ir) = &frame.ir {
                 run.fusion.see(ir);
@@ -129,6 +133,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         voxel_size_m: config.fusion.voxel_size_m,
         depth_max_m: config.fusion.depth_max_m,
         threads: n_threads.get(),
+        depth_correction_cpu_ms: median(&mut run.corrections_cpu_ms),
         cpu_ms: run.step_medians(),
         frame_cpu_ms: median(&mut run.frames_cpu_ms),
         frame_wall_ms: median(&mut run.frames_wall_ms),
@@ -170,10 +175,12 @@ fn measured_poses(session: &Path) -> anyhow::Result<Option<GivenPoses>> {
 
 /// What is in hand while frames are fused.
 struct Run {
+    correction: DepthCorrection,
     fusion: Fusion,
     frames: Frames,
     /// Processor time of every step of every frame that was fused, milliseconds.
     steps_cpu_ms: [Vec<f64>; FusionStep::ALL.len()],
+    corrections_cpu_ms: Vec<f64>,
     frames_cpu_ms: Vec<f64>,
     frames_wall_ms: Vec<f64>,
     fits: Vec<Fit>,
@@ -185,17 +192,25 @@ struct Run {
 }
 
 impl Run {
-    fn new(info: &CameraInfo, config: &Config, infrared: Option<InfraredOptics>) -> Self {
+    fn new(
+        info: &CameraInfo,
+        config: &Config,
+        calibration: &Calibration,
+        infrared: Option<InfraredOptics>,
+    ) -> Self {
         let model = CameraModel::new(info.intrinsics);
         let noise = DepthNoise::of_sensor(info.sensor);
         let fusion = Fusion::new(model, noise, config.fusion.clone()).by_turns();
+        let has_multipath = config.multipath.enabled;
         Run {
+            correction: DepthCorrection::new(info, calibration, has_multipath, &config.fusion),
             fusion: match infrared {
                 Some(optics) => fusion.with_infrared(model, optics),
                 None => fusion,
             },
             frames: Frames::default(),
             steps_cpu_ms: Default::default(),
+            corrections_cpu_ms: Vec::new(),
             frames_cpu_ms: Vec::new(),
             frames_wall_ms: Vec::new(),
             fits: Vec::new(),
@@ -205,6 +220,17 @@ impl Run {
             refresh_patches: Vec::new(),
             pairs: Vec::new(),
         }
+    }
+
+    /// A frame without the errors of its depth that are known.
+    fn corrected(&mut self, frame: Frame) -> Frame {
+        self.correction.thin_out(&self.fusion);
+        let start_cpu_ms = process_cpu_ms();
+        let Some(corrected) = self.correction.correct(&frame) else {
+            return frame;
+        };
+        self.corrections_cpu_ms.push(process_cpu_ms() - start_cpu_ms);
+        corrected
     }
 
     /// Fuses a frame; after some that are tracked the live mesh is refreshed. Those that are lost change nothing.
@@ -323,6 +349,11 @@ fn print_text(measured: &Measured) -> io::Result<()> {
     writeln!(
         Stdout,
         "processor time a frame, all threads together, median ms:"
+    )?;
+    writeln!(
+        Stdout,
+        "  {:<16}{:>6.2}, before it is tracked",
+        "depth correction", measured.depth_correction_cpu_ms
     )?;
     for time in &measured.cpu_ms {
         writeln!(

@@ -1,6 +1,7 @@
 //! What a device's depth gets wrong, as the views of a scan tell it.
 
 use super::DepthCorrection;
+use super::ray_order::WrongRays;
 use super::revision::{Revised, Settled, together};
 use crate::{
     fusion::{Fusion, GoesOn},
@@ -17,8 +18,8 @@ pub struct MeasuredDepth {
     pub white: Option<MeasuredWhite>,
     /// The error by range alone: what was known of it and what the scan shows beside; `None` if there is neither.
     pub range_error: Option<RangeError>,
-    /// Whether the scan's depth was computed with the rays of its image upside down, and what was measured is of depth put right.
-    pub rays_were_upside_down: bool,
+    /// How the scan's depth was computed, where that was not by the rays of its pixels; what was measured is of depth put right.
+    pub wrong_rays: Option<WrongRays>,
 }
 
 /// A device's white level as one scan tells it.
@@ -44,7 +45,7 @@ impl DepthCorrection {
         let range_error = together(self.range.as_ref(), shown, RangeError::plus);
         let revised = settled.revised.as_ref();
         MeasuredDepth {
-            rays_were_upside_down: revised.is_some_and(Revised::rays_were_upside_down),
+            wrong_rays: revised.and_then(Revised::wrong_rays),
             white: self.settled_white(fusion, settled),
             range_error,
         }

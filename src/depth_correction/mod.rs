@@ -15,6 +15,7 @@ mod revision;
 mod tests;
 
 pub use measured::{MeasuredDepth, MeasuredWhite};
+pub use ray_order::WrongRays;
 pub use revision::Revised;
 
 use crate::{
@@ -171,24 +172,23 @@ impl DepthCorrection {
     ) -> Image<f32> {
         let nearest = self.predictions.near(time_secs);
         let predicted = self.multipath.as_ref().zip(nearest);
-        let righted = |depth_m: Image<f32>| match &known.rays {
-            Some(rays) => rays.righted(&depth_m),
-            None => depth_m,
-        };
-        let depth = predicted.map_or_else(
-            || righted(depth_m.clone()),
-            |(multipath, nearest)| {
-                let here = righted(depth_m.clone());
-                let bias = nearest.bias_on(model, multipath, &here, world_from_camera);
+        let rays = known.rays.as_ref().map(|(_, rays)| rays);
+        let righted = |depth_m: &Image<f32>| rays.map(|rays| rays.righted(depth_m));
+        let depth = match predicted {
+            Some((multipath, nearest)) => {
+                let here = righted(depth_m);
+                let here = here.as_ref().unwrap_or(depth_m);
+                let bias = nearest.bias_on(model, multipath, here, world_from_camera);
                 let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
-                let raw = righted(raw);
+                let raw = righted(&raw).unwrap_or(raw);
                 let raw = match &known.range {
                     Some(range) => range.corrected(&raw, &self.rays),
                     None => raw,
                 };
                 multipath.corrected(&raw, &bias, None, known.white)
-            },
-        );
+            }
+            None => righted(depth_m).unwrap_or_else(|| depth_m.clone()),
+        };
         match &known.field {
             Some(field) => field.corrected(&depth),
             None => depth,

@@ -18,6 +18,31 @@ use crate::{
 use depth_camera::Image;
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use std::fmt;
+
+/// How the depth of a scan was computed, where that is not by the rays of its pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WrongRays {
+    /// With those of the image upside down, as libfreenect2's CPU and OpenGL decoders do.
+    UpsideDown,
+    /// With the right ones, after which `fusion.rays_upside_down` bent it.
+    PutRightInVain,
+}
+
+impl fmt::Display for WrongRays {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            WrongRays::UpsideDown => {
+                "depth was computed with the rays of its image upside down, as libfreenect2's CPU and OpenGL decoders do, and was put \
+                 right; `fusion.rays_upside_down = true` lets tracking know"
+            }
+            WrongRays::PutRightInVain => {
+                "depth was computed with the right rays and bent by `fusion.rays_upside_down = true`, and was put right; false lets \
+                 tracking know"
+            }
+        })
+    }
+}
 
 /// Depth whose rays were upside down, and which is put right.
 #[derive(Clone, Debug)]
@@ -76,6 +101,14 @@ impl RayOrder {
         }
     }
 
+    /// What undoes it, where there was nothing to put right.
+    pub(super) fn undone(&self) -> Self {
+        RayOrder {
+            factors: self.factors.map(|factor| factor.recip()),
+            ..self.clone()
+        }
+    }
+
     /// A depth image (metres, 0 is none) put right.
     pub(super) fn righted(&self, depth_m: &Image<f32>) -> Image<f32> {
         let pairs = depth_m.data().iter().zip(self.factors.data());
@@ -83,13 +116,12 @@ impl RayOrder {
         Image::from_vec(depth_m.width(), depth_m.height(), righted.collect())
     }
 
-    /// What the frames of a scan tell, at given poses or tracked ones; `None` if their views agree as well as they are, or too few see one
-    /// surface.
-    pub(super) fn told_by(frames: &[Keyframe], rays: &RayGrid, are_given: bool) -> Option<Self> {
-        let upside_down = RayOrder::upside_down(rays);
-        let bends = upside_down.factors.data().iter();
+    /// Whether the frames of a scan, at given poses or tracked ones, tell that their depth is to be put right so: not if views agree as
+    /// well as they are, or too few see one surface.
+    pub(super) fn is_told_by(&self, frames: &[Keyframe], are_given: bool) -> bool {
+        let bends = self.factors.data().iter();
         if bends.fold(0.0f32, |most, factor| most.max((factor - 1.0).abs())) < MIN_BEND {
-            return None;
+            return false;
         }
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
         let views: Vec<(Image<f32>, Pose)> = frames
@@ -100,7 +132,9 @@ impl RayOrder {
                 (frame.depth_m(), *given.unwrap_or(&frame.world_from_camera))
             })
             .collect();
-        let [as_is_m, righted_m] = upside_down.apart_m(&views, are_given)?;
+        let Some([as_is_m, righted_m]) = self.apart_m(&views, are_given) else {
+            return false;
+        };
         tracing::info!(
             views = views.len(),
             apart_mm = 1e3 * as_is_m,
@@ -110,10 +144,10 @@ impl RayOrder {
         let is_told = righted_m <= MAX_LEFT_SHARE * as_is_m;
         // A turn that all given poses are off by looks like a bend, until views are settled.
         let agrees = || {
-            let settled = upside_down.apart_m(&views, false);
+            let settled = self.apart_m(&views, false);
             settled.is_some_and(|[as_is_m, righted_m]| righted_m < as_is_m)
         };
-        (is_told && (!are_given || agrees())).then_some(upside_down)
+        is_told && (!are_given || agrees())
     }
 
     /// How far views (depth in metres, world from camera) of one surface lie apart as they are, and put right, metres; `None` if too few
@@ -299,18 +333,14 @@ mod tests {
     fn views_tell_of_bent_depth_at_given_poses_and_at_those_that_it_was_tracked_by() {
         let rays = rays();
         let order = RayOrder::upside_down(&rays);
+        let bending = order.undone();
         let straight: Vec<(Image<f32>, Pose)> = poses()
             .iter()
             .map(|pose| (seen(&rays, pose), *pose))
             .collect();
-        let bent = |depth_m: &Image<f32>| {
-            let pairs = depth_m.data().iter().zip(order.factors.data());
-            let bent = pairs.map(|(z, factor)| z / factor);
-            Image::from_vec(depth_m.width(), depth_m.height(), bent.collect())
-        };
         let given: Vec<(Image<f32>, Pose)> = straight
             .iter()
-            .map(|(depth_m, pose)| (bent(depth_m), *pose))
+            .map(|(depth_m, pose)| (bending.righted(depth_m), *pose))
             .collect();
         // Tracking takes what it can of the bend for a motion.
         let tracked = given

@@ -2,7 +2,7 @@
 
 use super::DepthCorrection;
 use super::carry::Carry;
-use super::ray_order::RayOrder;
+use super::ray_order::{RayOrder, WrongRays};
 use crate::{
     fusion::{
         DepthField, DepthNoise, Fusion, GoesOn, Keyframe, PoseCorrection, RollingShutter,
@@ -30,9 +30,9 @@ impl Revised {
         self.known.range.as_ref()
     }
 
-    /// Whether depth was computed with the rays of its image upside down.
-    pub fn rays_were_upside_down(&self) -> bool {
-        self.known.rays.is_some()
+    /// How depth was computed, where that was not by the rays of its pixels, and it was put right.
+    pub fn wrong_rays(&self) -> Option<WrongRays> {
+        self.known.rays.as_ref().map(|(wrong, _)| *wrong)
     }
 }
 
@@ -40,7 +40,7 @@ impl Revised {
 #[derive(Clone, Default)]
 pub(super) struct Known {
     /// `None` is rays as they should be.
-    pub(super) rays: Option<RayOrder>,
+    pub(super) rays: Option<(WrongRays, RayOrder)>,
     /// `None` is no multipath.
     pub(super) white: Option<WhiteLevel>,
     /// `None` is no error by range alone.
@@ -192,18 +192,24 @@ impl DepthCorrection {
         is_as_close
     }
 
-    /// Whether the depth of a Kinect II's scan was computed with the rays upside down.
-    fn ray_order(&self, fusion: &Fusion) -> Option<RayOrder> {
-        let is_asked = self.info.sensor == Sensor::Kinect2 && self.rays_upside_down.is_none();
-        let are_given = fusion.is_at_given_poses();
-        let told = is_asked.then(|| RayOrder::told_by(fusion.keyframes(), &self.rays, are_given));
-        told.flatten()
+    /// How the depth of a Kinect II's scan is to be put right, where it was not computed as it was taken to be.
+    fn ray_order(&self, fusion: &Fusion) -> Option<(WrongRays, RayOrder)> {
+        if self.info.sensor != Sensor::Kinect2 {
+            return None;
+        }
+        let (wrong, other) = match &self.rays_upside_down {
+            Some(order) => (WrongRays::PutRightInVain, order.undone()),
+            None => (WrongRays::UpsideDown, RayOrder::upside_down(&self.rays)),
+        };
+        other
+            .is_told_by(fusion.keyframes(), fusion.is_at_given_poses())
+            .then_some((wrong, other))
     }
 
     /// Where frames lie before any of them is fused again: put right, one that was tracked lies otherwise, and the first stays where it was.
     fn start_of(frames: &[Keyframe], known: &Known, is_given: bool) -> Vec<Pose> {
         let tracked = |frame: &Keyframe| frame.world_from_camera;
-        let Some(rays) = known.rays.as_ref() else {
+        let Some((_, rays)) = known.rays.as_ref() else {
             return frames.iter().map(tracked).collect();
         };
         if is_given {
@@ -294,7 +300,7 @@ impl DepthCorrection {
             let seen = frame.depth_m();
             let mut depth = match (revised, &known.rays) {
                 // On a bent model multipath is predicted no better than it was.
-                (None, Some(rays)) => rays.righted(&seen),
+                (None, Some((_, rays))) => rays.righted(&seen),
                 _ => {
                     let seen = (&seen, self.corrected_by(time_secs));
                     self.anew(seen, time_secs, &before, model, &known)

@@ -56,11 +56,22 @@ fn scanned_as(
     deliver: impl Fn(&Frame) -> Frame,
     fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
 ) -> (DepthCorrection, Fusion) {
+    scanned_by(FusionParams::default(), frames, calibration, deliver, fuse)
+}
+
+/// The same, by other parameters than the default.
+fn scanned_by(
+    params: FusionParams,
+    frames: &[Frame],
+    calibration: &Calibration,
+    deliver: impl Fn(&Frame) -> Frame,
+    fuse: impl Fn(&mut Fusion, &Image<f32>, f64, &Pose) -> TrackingOutcome,
+) -> (DepthCorrection, Fusion) {
     let camera = SimulatedCamera::kinect2_plaque(frames.len(), 7);
     let info = camera.info().clone();
     let params = FusionParams {
         voxel_size_m: 0.004,
-        ..FusionParams::default()
+        ..params
     };
     let mut correction = DepthCorrection::new(&info, calibration, true, &params);
     let noise = DepthNoise::of_sensor(info.sensor);
@@ -327,13 +338,9 @@ fn bent(frame: &Frame) -> Frame {
     let rays = RayGrid::new(CameraModel::new(
         SimulatedCamera::kinect2_plaque(1, 7).info().intrinsics,
     ));
-    let order = RayOrder::upside_down(&rays);
+    let bending = RayOrder::upside_down(&rays).undone();
     let depth = frame.depth.as_ref().expect("a Kinect II");
-    let straight = order.righted(&Image::filled(depth.width(), depth.height(), 1.0));
-    let pairs = depth.data().iter().zip(straight.data());
-    let bent = pairs.map(|(z, factor)| z / factor);
-    let bent = Image::from_vec(depth.width(), depth.height(), bent.collect());
-    with_depth(frame, bent)
+    with_depth(frame, bending.righted(depth))
 }
 
 #[test]
@@ -347,9 +354,9 @@ fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
         (fusion, revised.expect("light comes over the table"))
     };
     let (_, right) = revised(Frame::clone);
-    assert!(!right.rays_were_upside_down());
+    assert_eq!(right.wrong_rays(), None);
     let (fusion, righted) = revised(bent);
-    assert!(righted.rays_were_upside_down());
+    assert_eq!(righted.wrong_rays(), Some(WrongRays::UpsideDown));
     let before = off_m(&fusion, &truths);
     let (after, best) = (
         off_m(&righted.fusion, &truths),
@@ -365,6 +372,16 @@ fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
         rays_upside_down: true,
         ..FusionParams::default()
     };
+    let (correction, fusion) = scanned_by(
+        params.clone(),
+        &frames,
+        &calibration(1.0),
+        Frame::clone,
+        Fusion::fuse_at,
+    );
+    let revised = correction.revise(&fusion, &|_| true);
+    let wrong = revised.and_then(|revised| revised.wrong_rays());
+    assert_eq!(wrong, Some(WrongRays::PutRightInVain));
     let mut knowing = DepthCorrection::new(info, &calibration(1.0), false, &params);
     let frame = knowing.correct(&bent(&frames[0])).expect("it was bent");
     let (straight, seen) = (frame.depth.as_ref(), frames[0].depth.as_ref());

@@ -74,6 +74,9 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
         Ok(correction.measure(&fusion, &|_| check_wanted(stop).is_ok()))
     })?;
     check_wanted(stop)?;
+    if let Some(wrong) = measured.wrong_rays {
+        tracing::warn!("{wrong}");
+    }
     device.light.white_level = measured.white.map(|measured| measured.white.0);
     let in_file = path.exists().then(|| DeviceCalibration::read(&path));
     let known = in_file.transpose()?.and_then(|file| file.range_error_m);
@@ -111,13 +114,6 @@ fn without_white_level(calibration: Calibration) -> Calibration {
 }
 
 fn print(measured: &MeasuredDepth) -> io::Result<()> {
-    if measured.rays_were_upside_down {
-        writeln!(
-            Stdout,
-            "its depth was computed with the rays of the image upside down, which was put right before anything was measured: set \
-             fusion.rays_upside_down = true where recordings come from that decoder"
-        )?;
-    }
     match &measured.white {
         Some(measured) => {
             let white = measured.white.0;

@@ -22,6 +22,7 @@ use relief::{
         self, CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, FoundCalibration,
         KeyOrigin, Measurement, Overrides, calibration_path,
     },
+    depth_correction::DepthCorrection,
     fusion::FusionParams,
     geometry::{CameraModel, RayGrid},
     shading::FlatField,
@@ -172,8 +173,11 @@ fn gather(
         )?;
         let mut gatherer = Gatherer::new(camera.info(), FusionParams::default())
             .with_context(|| format!("{}: no infrared images with a light", session.display()))?;
+        let calibration = &device.found.calibration;
+        let mut known = DepthCorrection::new(camera.info(), calibration, false, &config.fusion);
         while let Some(frame) = next_frame(camera.as_mut(), stop)? {
-            gatherer.observe(&ir_offset.remove_from(frame));
+            let frame = ir_offset.remove_from(frame);
+            gatherer.observe(&known.correct(&frame).unwrap_or(frame));
         }
         let scan = gatherer.finish(&name, radius)?;
         tracing::info!(session = scan.name, images = scan.images.len(), shares = %scan.shares, "gathered");

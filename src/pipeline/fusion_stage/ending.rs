@@ -165,11 +165,8 @@ impl FusionStage {
                 "depth is off by its range: `relief calibrate depth` with a recording of this scan lets tracking know"
             );
         }
-        if revised.rays_were_upside_down() {
-            tracing::warn!(
-                "depth was computed with the rays of its image upside down, as libfreenect2's CPU and OpenGL decoders do, and was put \
-                 right; `fusion.rays_upside_down = true` lets tracking know"
-            );
+        if let Some(wrong) = revised.wrong_rays() {
+            tracing::warn!("{wrong}");
         }
         for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
             let time_secs = snapshot.device_time_secs;

@@ -292,7 +292,7 @@ impl FusionStage {
             last_frame_id: 0,
             had_depth: true,
             fitness: None,
-            correction_clock: StageClock::new("multipath"),
+            correction_clock: StageClock::new("depth correction"),
             revision_clock: StageClock::new("fusing again with corrected depth"),
             fusion_clock: StageClock::new("tracking and fusion"),
             selection_clock: StageClock::new("selection of shading images"),
