@@ -229,7 +229,8 @@ impl Run {
         let Some(corrected) = self.correction.correct(&frame) else {
             return frame;
         };
-        self.corrections_cpu_ms.push(process_cpu_ms() - start_cpu_ms);
+        self.corrections_cpu_ms
+            .push(process_cpu_ms() - start_cpu_ms);
         corrected
     }
 

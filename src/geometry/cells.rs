@@ -71,6 +71,9 @@ impl CellGrid {
     /// Unless there is one value for each cell.
     pub fn spread(&self, values: &[f32]) -> Image<f32> {
         assert_eq!(values.len(), self.n_cells(), "one value a cell");
+        let columns: Vec<(u32, u32, f32)> = (0..self.width)
+            .map(|u| self.between(u as f32, self.columns))
+            .collect();
         let mut out = vec![0.0f32; self.width * self.height];
         out.par_chunks_mut(self.width)
             .enumerate()
@@ -81,8 +84,7 @@ impl CellGrid {
                 let row: Vec<f32> = (0..self.columns)
                     .map(|k| above[k] + (below[k] - above[k]) * down)
                     .collect();
-                for (u, out) in out.iter_mut().enumerate() {
-                    let (left, right, along) = self.between(u as f32, self.columns);
+                for (out, &(left, right, along)) in out.iter_mut().zip(&columns) {
                     let [left, right] = [left, right].map(|column| row[column as usize]);
                     *out = left + (right - left) * along;
                 }

@@ -11,12 +11,12 @@ pub struct Plane {
     pub offset_m: f64,
 }
 
-/// Surface lies on a plane within this angle of its normal: 20°, since measured normals are noisy.
-const MIN_COSINE: f64 = 0.94;
-
 impl Plane {
     /// A plane holds this share of what is seen, at least, if it is the one that things stand on; arbitrary.
     pub const SUPPORT_SHARE: f64 = 0.15;
+
+    /// Surface lies on a plane within this angle of its normal: 20°, since measured normals are noisy.
+    pub const MIN_COSINE: f64 = 0.94;
 
     /// The plane through a point with a unit normal.
     pub fn through(point: &Point3<f64>, normal: Vector3<f64>) -> Self {
@@ -41,7 +41,7 @@ impl Plane {
 
     /// Whether surface at a point, with a unit normal, lies on the plane: within so many metres of it, and facing as it does.
     pub fn holds(&self, point: &Point3<f64>, normal: &Vector3<f64>, within_m: f64) -> bool {
-        self.height_m(point).abs() < within_m && self.normal.dot(normal) > MIN_COSINE
+        self.height_m(point).abs() < within_m && self.normal.dot(normal) > Plane::MIN_COSINE
     }
 }
 

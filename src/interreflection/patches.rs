@@ -153,7 +153,7 @@ impl PatchGrid {
     where
         T: Copy + Into<f64> + Send + Sync,
     {
-        let inv_gamma = 1.0 / self.gamma;
+        let inv_gamma = (1.0 / self.gamma) as f32;
         (0..cut.cells.n_cells())
             .into_par_iter()
             .map(|cell| {
@@ -162,7 +162,8 @@ impl PatchGrid {
                     if *depth_m.at(u, v) > 0.0 {
                         let counts: f64 = (*ir_counts.at(u, v)).into();
                         let observed = counts * self.inv_full_scale;
-                        sum += observed.powf(inv_gamma);
+                        // In single precision: powers are most of the time.
+                        sum += f64::from((observed as f32).powf(inv_gamma));
                         n += 1;
                         is_saturated |= observed >= cut.saturation;
                     }
