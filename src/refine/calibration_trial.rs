@@ -9,13 +9,14 @@ use super::held_out::{hold_out, slow_gain};
 use super::level::{Level, coarsest};
 use super::optics::Optics;
 use super::params::RefineParams;
-use super::preparation::{Subject, first_views, views_of};
+use super::preparation::{first_views, views_of};
 use super::rounds::Rounds;
 use super::self_calibration::{
     Contradiction, SelfCalibrationParams, Told, Tolerance, told_by_images,
 };
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewSet};
+use super::subject::Subject;
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;

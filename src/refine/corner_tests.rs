@@ -3,8 +3,9 @@
 use super::gaze::Gaze;
 use super::optics::Optics;
 use super::params::RefineParams;
-use super::preparation::{Preparation, Subject, first_views};
+use super::preparation::{Preparation, first_views};
 use super::scenes::{FULL_SCALE, calibration, image, optics};
+use super::subject::Subject;
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
 use crate::geometry::{Pose, RayGrid, TriMesh, increment_about};

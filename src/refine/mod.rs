@@ -56,6 +56,7 @@ mod site_motion;
 mod sites;
 mod solver;
 pub mod stages;
+mod subject;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -76,12 +77,12 @@ pub use object::{Roi, select_object, select_roi};
 pub use optics::Optics;
 pub use params::RefineParams;
 pub use pattern::Step;
-pub use preparation::Subject;
 pub use self_calibration::{Contradiction, SelfCalibrationParams};
 pub use single_view::surface_of_view;
 pub use site_motion::Linearisation;
 pub use sites::SiteKind;
 pub use solver::{Iteration, RefineStatus};
+pub use subject::Subject;
 pub use view::{HIDING_CELL_M, ImageTrust};
 
 use crate::geometry::TriMesh;
