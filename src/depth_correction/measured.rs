@@ -10,6 +10,7 @@ use crate::{
     multipath::{Compared, Evidence, RangeBias, Seen},
 };
 use depth_camera::Image;
+use rayon::prelude::*;
 
 /// What one scan tells of a device's depth.
 #[derive(Clone, Debug)]
@@ -73,8 +74,9 @@ impl DepthCorrection {
         let frames = fusion.keyframes();
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
         let views: Vec<(Image<f32>, &Pose, RangeBias)> = frames
-            .iter()
+            .par_iter()
             .step_by(every)
+            .with_max_len(1)
             .filter_map(|frame| {
                 let nearest = self.predictions.near(frame.time_secs)?;
                 let (depth, pose) = (frame.depth_m(), &frame.world_from_camera);

@@ -43,7 +43,7 @@ pub struct DepthCorrection {
     range: Option<RangeError>,
     /// The white level that frames are corrected for while the scan goes on; `None` before the first.
     live: Option<WhiteLevel>,
-    /// The white level that revisions begin with, where another calibration was found since.
+    /// The one that another calibration tells, which was found since.
     recalibrated: Option<WhiteLevel>,
     /// Whether the device's calibration tells it.
     is_measured: bool,
@@ -105,7 +105,7 @@ impl DepthCorrection {
     }
 
     /// Goes on with another calibration, by which the scan is to be revised; frames that were corrected stay as they are.
-    pub fn recalibrate(&mut self, calibration: &Calibration, fusion: &Fusion) {
+    pub fn recalibrate(&mut self, calibration: &Calibration) {
         let by = Multipath::new(&self.info, calibration);
         let (Some(before), Some(by)) = (&self.multipath, by) else {
             return;
@@ -113,25 +113,20 @@ impl DepthCorrection {
         self.predictions.recalibrate(before, &by);
         if self.is_measured {
             self.recalibrated = calibration.light.white_level.map(WhiteLevel);
-        } else if let Some(first) = fusion.keyframes().first() {
-            let nearest = self.predictions.near(first.time_secs);
-            self.recalibrated =
-                nearest.and_then(|near| by.plausible_white(&first.depth_m(), near.prediction));
         }
         self.multipath = Some(by);
     }
 
-    /// Forgets the scan so far: the next frame is the first again.
-    pub fn begin_anew(&mut self) {
+    /// Forgets the predictions of frames that fusion does not hold any more; and as long as it has fused none, or all were taken back,
+    /// what was seen before does not belong to the scan, and does not tell its white level.
+    pub fn thin_out(&mut self, fusion: &Fusion) {
+        if fusion.model().is_some() {
+            return self.predictions.thin_out(fusion);
+        }
         self.predictions = Predictions::default();
         if !self.is_measured {
             self.live = None;
         }
-    }
-
-    /// Forgets the predictions of frames that fusion does not hold any more.
-    pub fn thin_out(&mut self, fusion: &Fusion) {
-        self.predictions.thin_out(fusion);
     }
 
     /// Fuses a scan again as long as it tells of errors that were not taken off: multipath at least twice, for a model tells

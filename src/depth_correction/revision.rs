@@ -11,6 +11,7 @@ use crate::{
     geometry::{CameraModel, Motion, Pose, RangeError},
     interreflection::WhiteLevel,
     multipath::{Compared, Evidence, WhiteSearch},
+    robust::median,
 };
 use depth_camera::Sensor;
 use rayon::prelude::*;
@@ -65,6 +66,8 @@ const MODEL_ROUNDS: usize = 2;
 /// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still
 /// show of it is noise: with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
 const SENSOR_ROUNDS: usize = 3;
+/// Most frames that are asked for the white level that is plausible; arbitrary.
+const MAX_ASKED_WHITE: usize = 40;
 /// So many frames tell the white level as well as all of a long scan, in less time. All are fused again in the end.
 pub(super) const MAX_SOUGHT_BY: usize = 300;
 /// A revision after which frames lie farther from the model, by this factor, is not used. On the recorded sessions they lie nearer by 5 to
@@ -85,7 +88,8 @@ pub(super) const TRACKED_ANEW_REACH: Motion = Motion {
 impl DepthCorrection {
     /// Revises a scan until it tells of no more, or `goes_on` says no.
     pub(super) fn settled(&self, fusion: &Fusion, goes_on: &GoesOn) -> Settled {
-        let start = self.recalibrated.or(self.live);
+        let plausible = (!self.is_measured).then(|| self.plausible_white(fusion));
+        let start = plausible.flatten().or(self.recalibrated).or(self.live);
         let mut search = start.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
@@ -192,6 +196,21 @@ impl DepthCorrection {
         is_as_close
     }
 
+    /// The median of what is plausible for each of some frames of a scan, which has one light.
+    fn plausible_white(&self, fusion: &Fusion) -> Option<WhiteLevel> {
+        let multipath = self.multipath.as_ref()?;
+        let of_frame = |frame: &Keyframe| {
+            let nearest = self.predictions.near(frame.time_secs)?;
+            multipath.plausible_white(&frame.depth_m(), nearest.prediction)
+        };
+        let frames = fusion.keyframes();
+        let every = frames.len().div_ceil(MAX_ASKED_WHITE).max(1);
+        let asked = frames.par_iter().step_by(every).with_max_len(1);
+        let plausible = asked.filter_map(of_frame);
+        let mut plausible: Vec<f64> = plausible.map(|WhiteLevel(white)| white).collect();
+        median(&mut plausible).map(WhiteLevel)
+    }
+
     /// How the depth of a Kinect II's scan is to be put right, where it was not computed as it was taken to be.
     fn ray_order(&self, fusion: &Fusion) -> Option<(WrongRays, RayOrder)> {
         if self.info.sensor != Sensor::Kinect2 {
@@ -290,30 +309,38 @@ impl DepthCorrection {
         let velocities = velocities(&path);
         let slid = known.shutter.is_some() || known.range.is_some() || known.rays.is_some();
         let reach = (slid && !is_given).then_some(TRACKED_ANEW_REACH);
+        let corrected = |index: usize| {
+            let (frame, before) = (frames.get(index)?, &path[index].world_from_camera);
+            let seen = frame.depth_m();
+            let depth = match (revised, &known.rays) {
+                // On a bent model multipath is predicted no better than it was.
+                (None, Some((_, rays))) => rays.righted(&seen),
+                _ => {
+                    let seen = (&seen, self.corrected_by(frame.time_secs));
+                    self.anew(seen, frame.time_secs, before, model, &known)
+                }
+            };
+            Some(match &known.shutter {
+                Some(shutter) => shutter.corrected(&depth, &velocities[index], &self.rays, &noise),
+                None => depth,
+            })
+        };
         let mut carry = Carry::default();
-        for (n_done, (frame, velocity)) in frames.iter().zip(&velocities).enumerate() {
+        let mut next = corrected(0);
+        for (n_done, frame) in frames.iter().enumerate() {
             if !goes_on(work.at(n_done, frames.len())) {
                 return None;
             }
             let (time_secs, tracked) = (frame.time_secs, &frame.world_from_camera);
             let before = path[n_done].world_from_camera;
-            let seen = frame.depth_m();
-            let mut depth = match (revised, &known.rays) {
-                // On a bent model multipath is predicted no better than it was.
-                (None, Some((_, rays))) => rays.righted(&seen),
-                _ => {
-                    let seen = (&seen, self.corrected_by(time_secs));
-                    self.anew(seen, time_secs, &before, model, &known)
-                }
-            };
-            if let Some(shutter) = &known.shutter {
-                depth = shutter.corrected(&depth, velocity, &self.rays, &noise);
-            }
+            let depth = next.take()?;
             let here = carry.to(frame.stretch, &before) * before;
-            let outcome = match is_given && !self.fusion.polish.enabled {
+            let fuse = || match is_given && !self.fusion.polish.enabled {
                 true => fusion.fuse_anew_at(&depth, frame, &here),
                 false => fusion.fuse_anew(&depth, frame, &here, reach),
             };
+            let outcome;
+            (outcome, next) = rayon::join(fuse, || corrected(n_done + 1));
             let TrackingOutcome::Tracked {
                 world_from_camera,
                 fit,

@@ -172,7 +172,7 @@ fn a_scan_is_revised_by_the_calibration_that_was_found_since() {
     let right = revised(&correction, &fusion);
     let (mut correction, fusion) = scanned_with(&calibration(1.6), Fusion::fuse_at);
     let wrong = revised(&correction, &fusion);
-    correction.recalibrate(&calibration(1.0), &fusion);
+    correction.recalibrate(&calibration(1.0));
     let recalibrated = revised(&correction, &fusion);
     let (before, after) = (apart(&wrong, &right), apart(&recalibrated, &right));
     // Views tell each its own white level.
@@ -212,17 +212,21 @@ fn multipath_is_taken_once_off_a_frame_without_an_infrared_image() {
 }
 
 #[test]
-fn a_scan_that_begins_anew_has_the_white_level_of_its_own_first_frame() {
-    let (mut correction, _) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
+fn a_scan_has_the_white_level_of_the_first_frame_that_is_fused() {
+    let (mut correction, fusion) = scanned(|fusion, depth, time, _| fusion.fuse(depth, time));
+    correction.thin_out(&fusion);
     assert!(correction.live.is_some() && !correction.predictions.0.is_empty());
-    correction.begin_anew();
+    let camera = CameraModel::new(correction.info.intrinsics);
+    let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+    let nothing = Fusion::new(camera, noise, FusionParams::default());
+    correction.thin_out(&nothing);
     assert!(correction.live.is_none() && correction.predictions.0.is_empty());
 
     let mut measured = calibration(1.0);
     measured.light.white_level = Some(0.2);
     let (mut correction, _) =
         scanned_with(&measured, |fusion, depth, time, _| fusion.fuse(depth, time));
-    correction.begin_anew();
+    correction.thin_out(&nothing);
     assert_eq!(correction.live.map(|white| white.0), Some(0.2));
 }
 

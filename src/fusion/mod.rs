@@ -342,14 +342,25 @@ impl Fusion {
 
     /// Fuses the frame in hand at a pose, and looks at the model from there.
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
+        self.take_in(world_from_camera, time_secs, on_step);
+        self.look_from(&world_from_camera);
+        on_step(FusionStep::Raycast);
+    }
+
+    /// Looks at the model from a pose.
+    fn look_from(&mut self, world_from_camera: &Pose) {
+        let map = self
+            .model
+            .get_or_insert_with(|| ModelMap::of_level(self.eye.level(MODEL_LEVEL)));
+        self.eye
+            .look(MODEL_LEVEL, &self.fused.volume, world_from_camera, map);
+    }
+
+    /// Fuses the frame in hand at a pose.
+    fn take_in(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         let (eye, fused) = (&mut self.eye, &mut self.fused);
         eye.fuse_into(fused, &world_from_camera, self.turns, on_step);
         self.places.forget_views();
-        let map = self
-            .model
-            .get_or_insert_with(|| ModelMap::of_level(eye.level(MODEL_LEVEL)));
-        eye.look(MODEL_LEVEL, &fused.volume, &world_from_camera, map);
-        on_step(FusionStep::Raycast);
         self.track = self
             .track
             .moved_to(world_from_camera, time_secs, self.n_fused > 0);

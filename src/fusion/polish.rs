@@ -8,6 +8,7 @@ use super::{
     Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome,
     align::{Beside, align},
     gates, icp,
+    raycast::ModelMap,
 };
 use crate::geometry::{Motion, Pose, motion_between};
 use depth_camera::Image;
@@ -86,10 +87,13 @@ impl Fusion {
         if !self.eye.take(depth) {
             return TrackingOutcome::NoDepth;
         }
-        self.fuse_as_given(time_secs, world_from_camera)
+        let outcome = self.fuse_as_given(time_secs, world_from_camera);
+        self.look_from(world_from_camera);
+        outcome
     }
 
-    /// Fuses a frame of another model once more at a pose that is known, with its depth (m) corrected otherwise, and keeps it.
+    /// Fuses a frame of another model once more at a pose that is known, with its depth (m) corrected otherwise, and keeps it. The
+    /// model is not looked at.
     pub fn fuse_anew_at(
         &mut self,
         depth: &Image<f32>,
@@ -122,15 +126,19 @@ impl Fusion {
             given: world_from_camera,
             reach: None,
         };
-        let outcome = self.fuse_polished(time_secs, &near);
-        self.keep_polished(&outcome, world_from_camera);
-        outcome
+        let (pose, fit) = self.fuse_polished(time_secs, &near);
+        self.keep_polished(fit.as_ref(), world_from_camera);
+        self.look_from(&pose);
+        TrackingOutcome::Tracked {
+            world_from_camera: pose,
+            fit,
+        }
     }
 
     /// Fuses a frame of another model once more, with its depth (m) corrected otherwise, where it lies best on this one near
     /// where it is now known to lie, `reach` of that at most, or there, and keeps it for closing loops as if it had been tracked.
     /// Without a `reach` of its own it may go as far as given poses err. A frame whose pose was given is held by that one all the
-    /// same, and kept as given.
+    /// same, and kept as given. The model is not looked at for what comes next, which brings its own pose.
     pub fn fuse_anew(
         &mut self,
         depth: &Image<f32>,
@@ -145,22 +153,22 @@ impl Fusion {
             given: frame.given.as_ref().unwrap_or(world_from_camera),
             reach,
         };
-        let outcome = self.fuse_polished(frame.time_secs, &near);
-        if let Some(given) = &frame.given {
-            self.keep_polished(&outcome, given);
-        } else if let TrackingOutcome::Tracked { fit, .. } = &outcome {
-            self.remember(fit.as_ref());
+        let (pose, fit) = self.fuse_polished(frame.time_secs, &near);
+        match &frame.given {
+            Some(given) => self.keep_polished(fit.as_ref(), given),
+            None => self.remember(fit.as_ref()),
         }
-        outcome
+        TrackingOutcome::Tracked {
+            world_from_camera: pose,
+            fit,
+        }
     }
 
     /// Keeps a frame that was to be polished, and counts it if its given pose stands.
-    fn keep_polished(&mut self, outcome: &TrackingOutcome, given: &Pose) {
-        if let TrackingOutcome::Tracked { fit, .. } = outcome {
-            // Before the first frame there is nothing to lie on.
-            self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 1);
-            self.keep_as_given(given);
-        }
+    fn keep_polished(&mut self, fit: Option<&Fit>, given: &Pose) {
+        // Before the first frame there is nothing to lie on.
+        self.n_unpolished += usize::from(fit.is_none() && self.n_fused > 1);
+        self.keep_as_given(given);
     }
 
     /// Keeps the frame that was just fused at, or near, a pose that was given.
@@ -171,7 +179,7 @@ impl Fusion {
 
     /// Fuses the frame in hand at a pose that is known, and keeps it.
     fn fuse_as_given(&mut self, time_secs: f64, world_from_camera: &Pose) -> TrackingOutcome {
-        self.accept(*world_from_camera, time_secs, &mut |_| {});
+        self.take_in(*world_from_camera, time_secs, &mut |_| {});
         self.keep_as_given(world_from_camera);
         TrackingOutcome::Tracked {
             world_from_camera: *world_from_camera,
@@ -179,18 +187,15 @@ impl Fusion {
         }
     }
 
-    /// Fuses the frame in hand where it lies best near a pose that is known, or there.
-    fn fuse_polished(&mut self, time_secs: f64, near: &Near) -> TrackingOutcome {
+    /// Fuses the frame in hand where it lies best near a pose that is known, or there; gives the pose, and how it lies.
+    fn fuse_polished(&mut self, time_secs: f64, near: &Near) -> (Pose, Option<Fit>) {
         let on_step: &mut OnStep = &mut |_: FusionStep| {};
         let (pose, fit) = match self.polish(near, on_step) {
             Ok((pose, fit)) => (pose, Some(fit)),
             Err(_) => (*near.given, None),
         };
-        self.accept(pose, time_secs, on_step);
-        TrackingOutcome::Tracked {
-            world_from_camera: pose,
-            fit,
-        }
+        self.take_in(pose, time_secs, on_step);
+        (pose, fit)
     }
 
     /// Frames that were fused at their given pose, because none near it was believed.
@@ -208,7 +213,9 @@ impl Fusion {
         let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
         // Given views may lie far apart: what the last one saw may not be in this one at all.
-        let map = self.model.as_mut().ok_or(nothing)?;
+        let map = self
+            .model
+            .get_or_insert_with(|| ModelMap::of_level(eye.level(MODEL_LEVEL)));
         eye.look(MODEL_LEVEL, volume, start, map);
         let model = icp::CastModel {
             map,

@@ -7,7 +7,7 @@ use super::fused_volume::FusedVolume;
 use super::improvement::{Counted, Improvement, Work};
 use super::locate::Before;
 use super::track::Track;
-use super::{Fusion, MODEL_LEVEL, PoseCorrection};
+use super::{Fusion, PoseCorrection};
 use crate::geometry::Pose;
 
 impl Fusion {
@@ -40,14 +40,6 @@ impl Fusion {
         self.interrupt();
         self.look_from_last();
         true
-    }
-
-    /// Looks at the model from a pose.
-    pub(super) fn look_from(&mut self, world_from_camera: &Pose) {
-        if let Some(map) = &mut self.model {
-            self.eye
-                .look(MODEL_LEVEL, &self.fused.volume, world_from_camera, map);
-        }
     }
 
     fn n_kept_until(&self, after_secs: f64) -> usize {

@@ -119,21 +119,34 @@ impl CellGrid {
         T: Copy + Default + Add<Output = T> + Mul<f32, Output = T>,
     {
         let mut cells = values.to_vec();
-        while cells.iter().any(Option::is_none) {
-            let known = cells.clone();
-            let mut is_done = true;
-            for (index, cell) in cells.iter_mut().enumerate() {
-                if cell.is_none() {
-                    let beside = self.neighbours(index).filter_map(|k| *known.get(k)?);
-                    let (sum, n) =
-                        beside.fold((T::default(), 0), |(sum, n), value| (sum + value, n + 1));
-                    *cell = (n > 0).then(|| sum * (1.0 / n as f32));
-                    is_done &= cell.is_none();
-                }
-            }
-            if is_done {
+        let is_empty =
+            |cells: &[Option<T>], index: &usize| cells.get(*index).is_some_and(Option::is_none);
+        // Those beside known ones, then those beside these.
+        let known = (0..cells.len()).filter(|index| !is_empty(&cells, index));
+        let mut next: Vec<usize> = known.flat_map(|index| self.neighbours(index)).collect();
+        loop {
+            next.retain(|index| is_empty(&cells, index));
+            next.sort_unstable();
+            next.dedup();
+            if next.is_empty() {
                 break;
             }
+            let means: Vec<Option<T>> = next
+                .iter()
+                .map(|&index| {
+                    let beside = self.neighbours(index).filter_map(|k| *cells.get(k)?);
+                    let (sum, n) =
+                        beside.fold((T::default(), 0), |(sum, n), value| (sum + value, n + 1));
+                    (n > 0).then(|| sum * (1.0 / n as f32))
+                })
+                .collect();
+            for (&index, mean) in next.iter().zip(means) {
+                cells[index] = mean;
+            }
+            next = next
+                .iter()
+                .flat_map(|&index| self.neighbours(index))
+                .collect();
         }
         cells.into_iter().map(Option::unwrap_or_default).collect()
     }

@@ -142,7 +142,7 @@ impl FusionStage {
                 let base = fusion.mesh();
                 let found = asked.contradiction(&base, &poses, &selection.accepted);
                 if let Some(calibration) = found {
-                    correction.recalibrate(&calibration, fusion);
+                    correction.recalibrate(&calibration);
                 }
             });
         });

@@ -200,9 +200,6 @@ impl FusionStage {
             .partition_point(|(time_secs, _)| *time_secs <= after_secs);
         let n_frames = self.trajectory.len() - n_left;
         self.trajectory.truncate(n_left);
-        if n_left == 0 {
-            self.correction.begin_anew();
-        }
         self.summary.n_taken_back += n_frames as u64;
         self.status.update(|status| status.n_in_model = n_left);
         self.measure_path();
