@@ -163,20 +163,21 @@ impl Keyframes {
     }
 
     /// How much would be missed without a frame: by how far it is from the one that would stand for it, and for how many that then
-    /// would, the more so where it would not count for all of them. The first and the last are never let go.
+    /// would, the more so where it would not count for all of them. The first and the last of a stretch stay as long as there are others:
+    /// how poses are corrected is known between the first and the last of those that are kept.
     fn missed_without(&self, index: usize) -> f64 {
         let frame = &self.frames[index];
         let before = index.checked_sub(1).map(|before| &self.frames[before]);
-        let Some((before, after)) = before.zip(self.frames.get(index + 1)) else {
-            return f64::INFINITY;
-        };
+        let beside = [before, self.frames.get(index + 1)];
+        let is_end =
+            |beside: Option<&Keyframe>| beside.is_none_or(|beside| beside.stretch != frame.stretch);
         match self.standing_for(index).map(|other| &self.frames[other]) {
-            Some(other) => {
+            Some(other) if !beside.into_iter().any(is_end) => {
                 let n_frames = (frame.n_frames + other.n_frames) as f64;
                 let too_many = (n_frames / MOST_FRAMES_AS_ONE as f64).max(1.0);
                 apart(frame, other) * n_frames * too_many * too_many
             }
-            None => apart(frame, before).min(apart(frame, after)) * frame.n_frames as f64,
+            _ => f64::INFINITY,
         }
     }
 
@@ -252,6 +253,8 @@ mod tests {
         // The first ones are there, and the others spread over the time of a camera that rests.
         let times: Vec<f64> = keyframes.frames().iter().map(|f| f.time_secs).collect();
         assert_eq!(times[..4], [0.0, 1.0, 2.0, 3.0]);
+        // So are those between which tracking broke.
+        assert!(times.windows(2).any(|pair| pair == [130.0, 131.0]));
         let later = times[4..].windows(2).map(|pair| pair[1] - pair[0]);
         assert!(later.fold(0.0, f64::max) <= 6.0 * 200.0 / n_most as f64);
 
