@@ -54,6 +54,8 @@ pub struct Conditions {
     pending: (Option<Degradation>, usize),
     last: Option<(f64, Pose)>,
     last_fast_secs: Option<f64>,
+    /// Why the camera was lost first, while it is, for reasons that are not in the operator's way.
+    first_loss: Option<Loss>,
 }
 
 impl Conditions {
@@ -67,6 +69,7 @@ impl Conditions {
             pending: (None, 0),
             last: None,
             last_fast_secs: None,
+            first_loss: None,
         }
     }
 
@@ -83,6 +86,7 @@ impl Conditions {
                 world_from_camera,
                 fit,
             }) => {
+                self.first_loss = None;
                 let is_fast = self.moved(observed.time_secs, world_from_camera);
                 self.tracked(observed, fit.as_ref(), is_fast)
             }
@@ -158,26 +162,21 @@ impl Conditions {
     }
 
     /// Why the camera is lost. While it is, the first reason holds unless it is in the operator's way now.
-    fn loss(&self, observed: &Observed, reason: &LossReason) -> Loss {
+    fn loss(&mut self, observed: &Observed, reason: &LossReason) -> Loss {
         let depth = &observed.depth;
         if depth.near_share > depth.in_range_share.max(LITTLE) {
             return Loss::TooClose;
         }
-        if let State::Lost(first) = self.state
-            && !matches!(first, Loss::TooClose | Loss::CoveredLens)
-        {
-            return first;
-        }
         let was_fast = self
             .last_fast_secs
             .is_some_and(|fast| observed.time_secs - fast < AFTER_FAST_SECS);
-        match reason {
+        *self.first_loss.get_or_insert(match reason {
             LossReason::Jump { .. } => Loss::TooFast,
             LossReason::FlatScene { .. } => Loss::FlatScene,
             LossReason::Elsewhere | LossReason::SeeThrough { .. } => Loss::Elsewhere,
             _ if was_fast => Loss::TooFast,
             _ => Loss::FewInliers,
-        }
+        })
     }
 }
 

@@ -84,6 +84,11 @@ fn speed_is_told_before_the_loss_that_it_leads_to() {
     );
     let found = TrackingOutcome::Lost(LossReason::Unconfirmed);
     assert_eq!(after(&mut fast, 61, &[found]), State::Relocalising);
+    // Nor has it been found by what was not confirmed.
+    assert_eq!(
+        after(&mut fast, 61, &[elsewhere]),
+        State::Lost(Loss::TooFast)
+    );
     assert_eq!(
         after(&mut fast, 62, &[tracked(0.3, 0.9, 0.01)]),
         State::Tracking
