@@ -303,7 +303,9 @@ impl FusionStage {
     /// A frame that was taken out of its edge. A lost camera is looked for in the newest frame but one, which the newest may
     /// confirm: later ones, after the search, may show another place again.
     fn take(&mut self, frame: Arc<Frame>, frames: &FrameReceiver) {
-        let is_sought = matches!(self.of_frames, State::Lost(_)) && !self.operator.is_paused;
+        // Nothing is looked for while there is no depth, which is so, too, while a Kinect I takes a shading image.
+        let is_sought =
+            self.had_depth && matches!(self.of_frames, State::Lost(_)) && !self.operator.is_paused;
         if !is_sought {
             return self.handle(&frame);
         }
