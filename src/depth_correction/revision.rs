@@ -99,7 +99,8 @@ impl DepthCorrection {
         let is_long = has_multipath && all.len() > self.max_sought_by;
         let few = is_long.then(|| fusion.keyframes_at_most(self.max_sought_by));
         let frames = few.as_deref().unwrap_or(all);
-        let may_revise = self.fusion.max_revisions > 0;
+        let first = Work::CorrectDepth(1).at(0, frames.len());
+        let may_revise = self.fusion.max_revisions > 0 && goes_on(first);
         let mut rays = may_revise.then(|| self.ray_order(fusion)).flatten();
         // What is bent is put right before anything else is asked: a bent model tells nothing.
         let n_bent = usize::from(rays.is_some());

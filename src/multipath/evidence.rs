@@ -164,7 +164,7 @@ fn samples(
     (0..bias.cells().n_cells()).filter_map(sample).collect()
 }
 
-/// Mean bias at every place that enough views see, weighted as fusion weighs them.
+/// Mean bias at every place that enough views see, those from the front counting more, as they do in fusion.
 fn place_means(views: &[Vec<Sample>]) -> BTreeMap<[i32; 3], f64> {
     let mut sums: BTreeMap<[i32; 3], (f64, f64, usize)> = BTreeMap::new();
     for sample in views.iter().flatten() {

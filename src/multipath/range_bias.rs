@@ -27,8 +27,11 @@ impl Bounce {
         (strength * self.range_m / (1.0 + strength * self.share)).min(MAX_BIAS_M)
     }
 
-    /// Derivative of the bias by the strength, metres.
+    /// Derivative of the bias by the strength, metres; 0 where it is as large as is believed.
     pub(super) fn bias_by_strength_m(&self, white: Option<WhiteLevel>) -> f64 {
+        if self.bias_m(white) >= MAX_BIAS_M {
+            return 0.0;
+        }
         let lit = 1.0 + strength(white) * f64::from(self.share);
         f64::from(self.range_m) / (lit * lit)
     }

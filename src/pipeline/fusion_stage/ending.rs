@@ -35,7 +35,9 @@ impl FusionStage {
                 told.update(|status| status.improvement = Some(improvement));
                 !stop.is_stopped()
             };
-            self.settle_beginning(snapshots.as_mut());
+            if !stop.is_stopped() {
+                self.settle_beginning(snapshots.as_mut());
+            }
             self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
             let closure = self.closing_clock.time(|| {
