@@ -207,6 +207,8 @@ impl Albedo {
             by_site: by_site(&albedo.groups, &albedo.labels, &tints),
             tints,
             gloss: self.gloss,
+            // What tints take up is spread all the same.
+            spread: self.spread,
             ..albedo
         }
     }
@@ -395,9 +397,12 @@ mod tests {
 
     #[test]
     fn a_site_keeps_its_tint_until_it_goes_to_another_material() {
-        let ratios = [(0.3, 1.0), (0.3, 1.0), (0.7, 1.0), (0.7, 1.0)];
+        let ratios = [(0.27, 1.0), (0.33, 1.0), (0.63, 1.0), (0.77, 1.0)];
         let tints = vec![0.9, 1.1, 0.9, 1.1];
-        let before = Albedo::of_labels(vec![0, 0, 1, 1], 2, &ratios).tinted(tints, &ratios);
+        let untinted = Albedo::of_labels(vec![0, 0, 1, 1], 2, &ratios);
+        let before = untinted.clone().tinted(tints, &ratios);
+        // What tints take up is spread all the same.
+        assert!(before.spread > 0.0 && before.spread == untinted.spread);
         for (albedo, tint) in before.by_site.iter().zip([0.9, 1.1]) {
             assert!((albedo / before.groups[0] - tint).abs() < 1e-12);
         }

@@ -113,7 +113,7 @@ impl CalibrationTrial<'_> {
     }
 }
 
-/// What some images of a scan, spread over all of them, say against its calibration before its depth is corrected for good.
+/// What some images of a scan, spread over all that look at the object, say against its calibration before its depth is corrected for good.
 ///
 /// # Errors
 /// Where nothing is left of the surface.
@@ -121,8 +121,10 @@ pub fn contradiction_as_tracked(
     subject: &Subject,
     params: &RefineParams,
 ) -> Result<Option<Contradiction>, RefineError> {
-    let every = subject.snapshots.len().div_ceil(MAX_ASKED).max(1);
-    let spread: Vec<ShadingSnapshot> = subject.snapshots.iter().step_by(every).cloned().collect();
+    let looking = subject.images_of_it();
+    let every = looking.len().div_ceil(MAX_ASKED).max(1);
+    let spread = looking.into_iter().step_by(every).cloned();
+    let spread: Vec<ShadingSnapshot> = spread.collect();
     let subject = &Subject {
         snapshots: &spread,
         ..*subject

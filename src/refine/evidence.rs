@@ -109,7 +109,9 @@ impl Rounds<'_> {
         let problem = self.problem(&observations, albedo, loss);
         let tints = problem.tints_apart(surface, &albedo.groups);
         let couplings = self.level.pattern.couplings();
-        let with_images = problem.linearise(surface, &albedo.groups, &tints, couplings);
+        let mut with_images = problem.linearise(surface, &albedo.groups, &tints, couplings);
+        // Inverses need no more than the matrix, and much memory.
+        with_images.at_vertices = None;
         let without = problem.prior_matrix(&surface.total_m, couplings);
         let variances = |matrix| self.level.pattern.inverse_diagonal(matrix);
         let (posterior, prior) = rayon::join(|| variances(&with_images), || variances(&without));

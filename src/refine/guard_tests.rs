@@ -96,6 +96,57 @@ fn views_that_look_elsewhere_do_not_judge() {
     assert_eq!(judgement.n_comparing(), 1);
 }
 
+#[test]
+fn views_that_see_nothing_are_not_the_only_ones_that_judge_or_are_learnt_from() {
+    let judges_where_these_see = |seeing: &[usize]| {
+        let result = refine_from(&FLAT.mesh(0.0025), |k, snapshot| {
+            if !seeing.contains(&k) {
+                snapshot.ir_counts.data_mut().fill(65535.0);
+            }
+        });
+        let judgement = result.expect("delivered").judgement;
+        assert_eq!(judgement.n_comparing(), judgement.views.len());
+        let judges = judgement.views.iter().map(|(view, _)| *view);
+        judges.collect::<Vec<usize>>()
+    };
+    // All look at the surface, and 1 and 5 would judge.
+    assert_eq!(judges_where_these_see(&[0, 2, 3, 4, 6]), [2]);
+    assert_eq!(judges_where_these_see(&[1, 5]), [5]);
+    assert!(judges_where_these_see(&[4]).is_empty());
+}
+
+#[test]
+fn edges_are_as_long_as_the_views_that_look_at_the_object_want_them() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let mut snapshots: Vec<_> = poses(0.5)
+        .iter()
+        .map(|pose| FLAT.snapshot(&optics, pose))
+        .collect();
+    let footprint_m = |snapshots: &[ShadingSnapshot]| {
+        let subject = Subject {
+            scene: &base,
+            object: &base,
+            snapshots,
+            optics: &optics,
+        };
+        (subject.footprint_m(), subject.images_of_it().len())
+    };
+    let (of_all_m, n_all) = footprint_m(&snapshots);
+    // Most stand 3 m farther back and to the side, where the object is not in the image.
+    for snapshot in &mut snapshots[..4] {
+        snapshot.world_from_camera *= Pose::translation(8.0, 0.0, -3.0);
+    }
+    let (of_looking_m, n_looking) = footprint_m(&snapshots);
+    assert_eq!((n_all, n_looking), (7, 3));
+    assert!(
+        (of_looking_m / of_all_m - 1.0).abs() < 0.2,
+        "{of_looking_m} m"
+    );
+    assert_eq!(footprint_m(&[]), (0.0, 0));
+}
+
 /// Lights a room in a snapshot of the plane, from one side of the image; half as bright there as the lamp makes the plane.
 fn light_the_room(snapshot: &mut ShadingSnapshot, is_measured: bool) {
     let gamma = calibration().gamma;
@@ -483,6 +534,40 @@ fn every_view_is_left_out_once() {
         let HeldOut { base, refined, .. } = view.figures();
         assert!(refined.intensity < base.intensity && refined.gradient < base.gradient);
     }
+}
+
+#[test]
+fn views_that_alone_see_the_surface_are_not_judged_by_and_the_others_are() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let mut snapshots: Vec<_> = poses(0.5)[..3]
+        .iter()
+        .map(|pose| RIPPLED.snapshot(&optics, pose))
+        .collect();
+    for snapshot in &mut snapshots[1..] {
+        snapshot.ir_counts.data_mut().fill(65535.0);
+    }
+    let judged_of = |snapshots: &[ShadingSnapshot]| {
+        let subject = Subject {
+            scene: &base,
+            object: &base,
+            snapshots,
+            optics: &optics,
+        };
+        let params = RefineParams {
+            n_rounds: 1,
+            ..coarse()
+        };
+        let judged = cross_validate(&subject, &params, 3, |_| true);
+        judged.map(|judged| judged.iter().map(|view| view.index).collect::<Vec<_>>())
+    };
+    assert_eq!(judged_of(&snapshots), Ok(vec![1, 2]));
+    snapshots[0].ir_counts.data_mut().fill(65535.0);
+    assert!(matches!(
+        judged_of(&snapshots),
+        Err(RefineError::Saturated { .. })
+    ));
 }
 
 #[test]

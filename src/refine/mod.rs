@@ -155,8 +155,8 @@ pub struct Refinement {
 
 /// Refines the surface of an object.
 ///
-/// A quarter of the views that look at it is held out while the surface is found and then judges it ([`Judgement`]); a last round takes all
-/// views in. A single view judges nothing. After each accepted step `progress` is called; it returns false to cancel, which
+/// A quarter of the views that look at it is held out while the surface is found and then judges it ([`Judgement`]), a quarter of those that
+/// see it where none of that quarter or none of the others does; a last round takes all views in. A single view judges nothing. After each accepted step `progress` is called; it returns false to cancel, which
 /// keeps what was reached.
 ///
 /// # Errors
@@ -168,9 +168,14 @@ pub fn refine(
     mut progress: impl FnMut(&Iteration) -> bool,
 ) -> Result<Refinement, RefineError> {
     let all = first_views(subject.snapshots.len());
-    let held_out = hold_out(subject.looking());
+    let mut held_out = hold_out(subject.looking());
+    let mut prepared = Preparation::new(subject, params, all & !held_out)?;
+    let seeing = prepared.seeing();
+    if seeing != 0 && (held_out & seeing == 0 || seeing & !held_out == 0) {
+        held_out = hold_out(seeing);
+        prepared = Preparation::new(subject, params, all & !held_out)?;
+    }
     let learning = all & !held_out;
-    let prepared = Preparation::new(subject, params, learning)?;
     let (base, errors_before) = prepared.base(subject, learning)?;
     let mut state = base.clone();
     let mut iterations = Vec::new();
@@ -236,7 +241,7 @@ fn slow_gain_limit(trust: &ImageTrust, indirect_share: f64) -> f64 {
 /// there are as many folds as views. `done` is called after each fold and returns false to stop.
 ///
 /// # Errors
-/// As for [`refine`], but that a worse surface is no error here.
+/// As for [`refine`], but that a worse surface is no error here, nor is a fold whose views see nothing while others see something.
 ///
 /// # Panics
 /// If there are fewer than two folds.
@@ -249,16 +254,26 @@ pub fn cross_validate(
     assert!(n_folds > 1, "{n_folds} folds, must be at least 2");
     let n_views = subject.snapshots.len();
     let mut judged = Vec::with_capacity(n_views);
+    let mut unseen = None;
     for fold in 0..n_folds.min(n_views) {
         let judges = every(fold, n_folds, n_views);
         let learning = first_views(n_views) & !judges;
-        judged.extend(judged_by(subject, params, learning, judges)?);
+        match judged_by(subject, params, learning, judges) {
+            Ok(views) => judged.extend(views),
+            Err(error @ (RefineError::NothingVisible { .. } | RefineError::Saturated { .. })) => {
+                unseen = Some(error)
+            }
+            Err(error) => return Err(error),
+        }
         if !done(fold) {
             break;
         }
     }
     judged.sort_by_key(|view| view.index);
-    Ok(judged)
+    match unseen {
+        Some(error) if judged.is_empty() => Err(error),
+        _ => Ok(judged),
+    }
 }
 
 /// Refines from some of the views, given by their numbers, and lets others judge.
@@ -271,7 +286,9 @@ pub fn validate(
     learning: &[usize],
     judges: &[usize],
 ) -> Result<Vec<JudgedView>, RefineError> {
-    let set = |views: &[usize]| views.iter().fold(0, |set, view| set | 1 << view);
+    // More views than a set holds are refused.
+    let bit = |view: &usize| (1 as ViewSet).checked_shl(*view as u32).unwrap_or(0);
+    let set = |views: &[usize]| views.iter().fold(0, |set, view| set | bit(view));
     judged_by(subject, params, set(learning), set(judges))
 }
 

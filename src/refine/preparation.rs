@@ -261,6 +261,11 @@ impl Preparation {
         judge(&rounds, &base, refined, judges)
     }
 
+    /// The views that see any of the base surface.
+    pub fn seeing(&self) -> ViewSet {
+        self.base_sites.visible.iter().fold(0, |all, of| all | of)
+    }
+
     /// Mean of the object's vertices as they were fused, world frame.
     pub fn centre(&self) -> &Point3<f64> {
         &self.centre

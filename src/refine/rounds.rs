@@ -160,9 +160,11 @@ impl Rounds<'_> {
         self.align(mesh, sites, views, albedo, loss);
         let mean_gain = take_mean_gain(views, learning);
         *albedo = albedo.clone().scaled(mean_gain);
-        let rendered = (is_last && self.params.integrate_pixels)
-            .then(|| Rendered::new(mesh, sites, views, &albedo.by_site));
-        let observations = self.observe(sites, surface, views, rendered.as_ref());
+        let observations = {
+            let rendered = (is_last && self.params.integrate_pixels)
+                .then(|| Rendered::new(mesh, sites, views, &albedo.by_site));
+            self.observe(sites, surface, views, rendered.as_ref())
+        };
         let loss = loss_of(&observations, albedo);
         let current = Some((&*albedo, loss));
         if let Some(next) = self.estimate_albedo(sites, &observations, current) {

@@ -23,7 +23,7 @@ pub struct Subject<'a> {
 }
 
 impl Subject<'_> {
-    /// What a pixel covers of the object, metres, in the median of the images; 0 without any.
+    /// What a pixel covers of the object, metres, in the median of the images that look at it; 0 without any.
     pub fn footprint_m(&self) -> f64 {
         let centre = self.object.centre();
         let focal_px = self.optics.rays.camera().intrinsics().fx;
@@ -31,8 +31,19 @@ impl Subject<'_> {
             let in_camera = snapshot.world_from_camera.inverse_transform_point(&centre);
             in_camera.z / focal_px
         };
-        let mut of_images: Vec<f64> = self.snapshots.iter().map(of_image).collect();
+        let looking = self.images_of_it().into_iter();
+        let mut of_images: Vec<f64> = looking.map(of_image).collect();
         median(&mut of_images).unwrap_or_default()
+    }
+
+    /// The images that look at the object.
+    pub fn images_of_it(&self) -> Vec<&ShadingSnapshot> {
+        let looking = self.looking();
+        let views = (0..ViewSet::BITS).zip(self.snapshots);
+        views
+            .filter(|(view, _)| looking >> view & 1 == 1)
+            .map(|(_, snapshot)| snapshot)
+            .collect()
     }
 
     /// The views that look at the object, which may be hidden from them.
