@@ -20,6 +20,7 @@ use super::subject::Subject;
 use super::surface::Surface;
 use super::view::View;
 use crate::geometry::TriMesh;
+use crate::interreflection::WhiteLevel;
 use crate::shading::Gloss;
 use crate::snapshot::ShadingSnapshot;
 
@@ -27,6 +28,8 @@ use crate::snapshot::ShadingSnapshot;
 /// is 9 to 40 % off leaves two to ten times what the right one does, on the base surfaces of the recorded scans; in a bowl, whose own
 /// light is guessed, gamma came out 34 % off and left 0.93.
 const MAX_LEFT_SHARE: f64 = 0.8;
+/// Factors on indirect light nearer to 1 are taken without a judge, logarithm: they change little.
+const MIN_JUDGED_LOG: f64 = 0.1;
 /// Images that are asked at most: all of them need a hundred megabytes while the scan's frames are still held.
 const MAX_ASKED: usize = 16;
 
@@ -96,6 +99,32 @@ impl CalibrationTrial<'_> {
         views = views_of(self.subject, self.params);
         let held = self.params.self_calibration.held();
         (self.ask_with(&held, &views, self.subject.optics), views)
+    }
+
+    /// Gives the views as much more indirect light as was told, if that leaves less slow gain on a level, or cannot be judged.
+    pub fn judge_indirect(&self, told: &Told, level: &Level, views: Vec<View>) -> Vec<View> {
+        let brighter = views.iter().map(|view| {
+            let strength = view.white.map(WhiteLevel::strength);
+            let found = strength.map(|strength| told.log_indirect.exp() * strength);
+            let mut brighter = view.clone();
+            brighter.white = found.and_then(WhiteLevel::of_strength);
+            brighter
+        });
+        let brighter: Vec<View> = brighter.collect();
+        if told.log_indirect.abs() < MIN_JUDGED_LOG {
+            return brighter;
+        }
+        let believed = self.slow_gain(level, &views, told.gloss);
+        let found = self.slow_gain(level, &brighter, told.gloss);
+        tracing::info!(
+            believed,
+            found,
+            "slow gain by either strength of indirect light"
+        );
+        match believed.zip(found) {
+            Some((believed, found)) if found > believed => views,
+            _ => brighter,
+        }
     }
 
     /// Of the views that judge, on the albedo that the others tell; `None` where either see nothing.

@@ -85,14 +85,11 @@ impl Preparation {
             tolerance: Tolerance::FINISHED,
         };
         let told = trial.ask(&views);
-        let (told, mut views) = trial.judge(told, &levels[0], views);
-        if optics.white_level().is_none() {
-            for view in &mut views {
-                let strength = view.white.map(WhiteLevel::strength);
-                let found = strength.map(|strength| told.log_indirect.exp() * strength);
-                view.white = found.and_then(WhiteLevel::of_strength);
-            }
-        }
+        let (told, views) = trial.judge(told, &levels[0], views);
+        let views = match optics.white_level() {
+            Some(_) => views,
+            None => trial.judge_indirect(&told, &levels[0], views),
+        };
         let mesh = &levels[0].mesh;
         let base_sites = Sites::new(params.sites, mesh, &views, first_views(views.len()))
             .with_gloss(SiteGloss::uniform(told.gloss));
