@@ -101,3 +101,27 @@ impl RangeBias {
         Image::from_vec(depth_m.width(), depth_m.height(), shorter.collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bias_changes_with_strength_until_it_is_as_large_as_is_believed() {
+        let bounce = Bounce {
+            share: 0.2,
+            range_m: 0.02,
+        };
+        let white = |strength: f64| WhiteLevel::of_strength(strength);
+        let by_difference = |strength: f64| {
+            let [less, more] = [0.99, 1.01].map(|share| bounce.bias_m(white(share * strength)));
+            f64::from(more - less) / (0.02 * strength)
+        };
+        for strength in [0.5, 1.5] {
+            let derivative = bounce.bias_by_strength_m(white(strength));
+            assert!((derivative / by_difference(strength) - 1.0).abs() < 1e-3);
+        }
+        assert_eq!(bounce.bias_m(white(10.0)), MAX_BIAS_M);
+        assert_eq!(bounce.bias_by_strength_m(white(10.0)), 0.0);
+    }
+}

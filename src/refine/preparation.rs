@@ -205,7 +205,7 @@ impl Preparation {
         Ok(self.judge(base, &mut state, learning, judges))
     }
 
-    /// Runs rounds with a set of views, from a state of the first one's level to the finest; the other views are left as they are.
+    /// Runs rounds with a set of views, from a state of the first one's level to the finest; the other views stay at their tracked poses.
     /// `accepted` is told of each step and returns false to cancel.
     pub fn run(
         &self,

@@ -128,8 +128,8 @@ impl Rounds<'_> {
         )
     }
 
-    /// Runs a round with a set of views, on its surface's sites that they see; the others are left as they are. `accepted` is told of
-    /// each step and returns false to cancel.
+    /// Runs a round with a set of views, on its surface's sites that they see; the others stay at their tracked poses. `accepted` is told
+    /// of each step and returns false to cancel.
     pub fn round(
         &self,
         round: usize,
