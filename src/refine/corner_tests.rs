@@ -1,10 +1,13 @@
 //! Interreflection in a corner: two planes at right angles light one another, summed square by square here.
 
+use super::calibration_trial::CalibrationTrial;
 use super::gaze::Gaze;
+use super::level::coarsest;
 use super::optics::Optics;
 use super::params::RefineParams;
-use super::preparation::{Preparation, first_views};
+use super::preparation::{Preparation, first_views, views_of};
 use super::scenes::{FULL_SCALE, calibration, image, optics};
+use super::self_calibration::{Told, Tolerance};
 use super::subject::Subject;
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
@@ -175,43 +178,87 @@ fn brightness_in_a_corner_is_predicted_with_the_light_of_the_other_side() {
     }
 }
 
+/// Images of a corner from eight sides.
+fn snapshots(optics: &Optics, albedo: f64) -> Vec<ShadingSnapshot> {
+    let centre = Vector3::new(0.0, 0.0, EDGE_M);
+    let from_a_side = |k: i32| {
+        let (turn, back_m) = (f64::from(k) * PI / 4.0, 0.02 * f64::from(k % 3));
+        let tilt = 0.3 * Vector3::new(turn.cos(), turn.sin(), 0.0);
+        let by = Vector6::new(tilt.x, tilt.y, tilt.z, 0.0, 0.0, back_m);
+        let corner = Corner {
+            optics,
+            camera_from_world: increment_about(&centre, &by),
+            albedo,
+        };
+        corner.snapshot()
+    };
+    (0..8).map(from_a_side).collect()
+}
+
+/// Parameters of a coarse mesh, which is fast.
+fn params() -> RefineParams {
+    RefineParams {
+        edge_length_m: 0.003,
+        ..RefineParams::default()
+    }
+}
+
+#[test]
+fn indirect_light_by_which_images_held_out_differ_more_is_not_taken() {
+    let (rays, calibration) = (RayGrid::new(distorted_camera()), calibration());
+    let optics = optics(&rays, &calibration);
+    let scene = mesh(80);
+    let snapshots = snapshots(&optics, REFLECTED);
+    let subject = Subject {
+        scene: &scene,
+        object: &scene,
+        snapshots: &snapshots,
+        optics: &optics,
+    };
+    let params = params();
+    let level = coarsest(&scene, &params).expect("a surface");
+    let trial = CalibrationTrial {
+        subject: &subject,
+        params: &params,
+        mesh: &level.mesh,
+        asked: first_views(snapshots.len()),
+        tolerance: Tolerance::FINISHED,
+    };
+    let views = views_of(&subject, &params);
+    let strength_of = |views: &[View]| views[0].white.expect("interreflection").strength();
+    // By the factor that is right, what is taken for white here is.
+    let right = WHITE.strength() / strength_of(&views);
+    let taken = |log_indirect: f64| {
+        let told = Told {
+            log_indirect,
+            ..Told::default()
+        };
+        let judged = trial.judge_indirect(&told, &level, views.clone());
+        (strength_of(&judged) / strength_of(&views)).ln()
+    };
+    for wrong in [4.0 * right, 0.2 * right] {
+        assert_eq!(taken(wrong.ln()), 0.0);
+    }
+    assert!((taken(0.05) - 0.05).abs() < 1e-9);
+}
+
 #[test]
 fn a_dark_corner_is_not_taken_for_one_of_plaster() {
     let (rays, calibration) = (RayGrid::new(distorted_camera()), calibration());
     let scene = mesh(80);
-    let centre = Vector3::new(0.0, 0.0, EDGE_M);
-    let poses: Vec<Pose> = (0..8)
-        .map(|k| {
-            let (turn, back_m) = (f64::from(k) * PI / 4.0, 0.02 * f64::from(k % 3));
-            let tilt = 0.3 * Vector3::new(turn.cos(), turn.sin(), 0.0);
-            let by = Vector6::new(tilt.x, tilt.y, tilt.z, 0.0, 0.0, back_m);
-            increment_about(&centre, &by)
-        })
-        .collect();
     // Plaster reflects twice as much as this.
     let whites = |white_level: Option<f64>| {
         let mut calibration = calibration.clone();
         calibration.light.white_level = white_level;
         let optics = optics(&rays, &calibration);
-        let images = poses.iter().map(|&camera_from_world| {
-            let corner = Corner {
-                optics: &optics,
-                camera_from_world,
-                albedo: 0.3,
-            };
-            corner.snapshot()
-        });
-        let snapshots: Vec<ShadingSnapshot> = images.collect();
+        let snapshots = snapshots(&optics, 0.3);
         let subject = Subject {
             scene: &scene,
             object: &scene,
             snapshots: &snapshots,
             optics: &optics,
         };
-        let params = RefineParams {
-            edge_length_m: 0.003,
-            ..RefineParams::default()
-        };
+        let params = params();
         let all = first_views(snapshots.len());
         let prepared = Preparation::new(&subject, &params, all).expect("a surface");
         let (state, _) = prepared.base(&subject, all).expect("visible");
