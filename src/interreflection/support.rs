@@ -141,7 +141,8 @@ mod tests {
     fn as_many_patches_are_counted_on_a_plane_as_it_holds() {
         let patch = |k: usize| {
             let [a, b, c] = [0.7, 1.3, 2.9].map(|step| (step * k as f32).sin());
-            let normal = Vector3::new(0.3 * a, 0.3 * b, -1.0).normalize();
+            let slanting = Vector3::new(0.3 * a, 0.3 * b, -1.0);
+            let normal = slanting / slanting.norm();
             Lit {
                 point: [a, b, 1.0 + 0.02 * c],
                 normal: normal.into(),
