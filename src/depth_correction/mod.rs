@@ -120,7 +120,7 @@ impl DepthCorrection {
     /// Forgets the predictions of frames that fusion does not hold any more; and as long as it has fused none, or all were taken back,
     /// what was seen before does not belong to the scan, and does not tell its white level.
     pub fn thin_out(&mut self, fusion: &Fusion) {
-        if fusion.model().is_some() {
+        if fusion.n_fused() > 0 {
             return self.predictions.thin_out(fusion);
         }
         self.predictions = Predictions::default();

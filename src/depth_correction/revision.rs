@@ -88,9 +88,6 @@ pub(super) const TRACKED_ANEW_REACH: Motion = Motion {
 impl DepthCorrection {
     /// Revises a scan until it tells of no more, or `goes_on` says no.
     pub(super) fn settled(&self, fusion: &Fusion, goes_on: &GoesOn) -> Settled {
-        let plausible = (!self.is_measured).then(|| self.plausible_white(fusion));
-        let start = plausible.flatten().or(self.recalibrated).or(self.live);
-        let mut search = start.map(WhiteSearch::from);
         let mut revised: Option<Revised> = None;
         let mut told = None;
         // Without memory for them no frames are kept; and a white level may be known of a sensor whose depth is not freed of multipath.
@@ -101,6 +98,10 @@ impl DepthCorrection {
         let frames = few.as_deref().unwrap_or(all);
         let first = Work::CorrectDepth(1).at(0, frames.len());
         let may_revise = self.fusion.max_revisions > 0 && goes_on(first);
+        let asks_frames = may_revise && !self.is_measured;
+        let plausible = asks_frames.then(|| self.plausible_white(fusion)).flatten();
+        let start = plausible.or(self.recalibrated).or(self.live);
+        let mut search = start.map(WhiteSearch::from);
         let mut rays = may_revise.then(|| self.ray_order(fusion)).flatten();
         // What is bent is put right before anything else is asked: a bent model tells nothing.
         let n_bent = usize::from(rays.is_some());
@@ -169,7 +170,7 @@ impl DepthCorrection {
         revised = revised.filter(|revised| self.lies_as_close(fusion, &revised.fusion));
         if revised.is_none() {
             // What was asked was of a scan that there is not.
-            (search, told) = (start.map(WhiteSearch::from), None);
+            (search, told) = (self.live.map(WhiteSearch::from), None);
         }
         Settled {
             revised,

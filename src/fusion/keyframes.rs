@@ -53,6 +53,8 @@ const APART: Motion = Motion {
     translation_m: 0.1,
 };
 const APART_SECS: f64 = 1.0;
+/// How much more the ends of a stretch are missed than any frame within one.
+const OF_AN_END: f64 = 1e9;
 
 impl Keyframes {
     /// No frames yet, and at most so many bytes of them; with none, no frame is kept.
@@ -177,7 +179,11 @@ impl Keyframes {
                 let too_many = (n_frames / MOST_FRAMES_AS_ONE as f64).max(1.0);
                 apart(frame, other) * n_frames * too_many * too_many
             }
-            _ => f64::INFINITY,
+            _ => {
+                let beside = beside.into_iter().flatten();
+                let nearest = beside.map(|beside| apart(frame, beside)).reduce(f64::min);
+                OF_AN_END + nearest.unwrap_or(f64::INFINITY) * frame.n_frames as f64
+            }
         }
     }
 

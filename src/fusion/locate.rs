@@ -45,7 +45,7 @@ impl Fusion {
             return Ok((Pose::identity(), None));
         };
         // A single frame, with its holes and its noise, is no model to compare poses on.
-        let is_single = self.keyframes.frames().len() < 2;
+        let is_single = self.n_fused < 2 || self.keyframes.frames().len() == 1;
         let found = if self.track.is_moving() || self.before == Before::Lost || is_single {
             self.locate_carried_on(model, time_secs, on_step)
                 .and_then(|found| self.resume(found, time_secs))

@@ -270,7 +270,7 @@ impl Fusion {
         is_near.then_some(pose)
     }
 
-    /// The model as the camera saw it after the last fused frame, at a quarter of the resolution.
+    /// The model as the camera saw it after the last frame that was fused, and not fused anew, at a quarter of the resolution.
     pub fn model(&self) -> Option<&ModelMap> {
         self.model.as_ref()
     }

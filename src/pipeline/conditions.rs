@@ -73,10 +73,11 @@ impl Conditions {
         }
     }
 
-    /// Forgets how the camera moved: the next frame may show another place.
+    /// Forgets how the camera moved, and why it was lost: the next frame may show another place.
     pub fn interrupt(&mut self) {
         self.last = None;
         self.last_fast_secs = None;
+        self.first_loss = None;
     }
 
     /// The state after one more frame.

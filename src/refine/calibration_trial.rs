@@ -129,10 +129,11 @@ impl CalibrationTrial<'_> {
 
     /// Of the views that judge, on the albedo that the others tell; `None` where either see nothing.
     fn slow_gain(&self, level: &Level, views: &[View], gloss: Gloss) -> Option<f64> {
-        let judges = hold_out(self.asked & self.subject.looking());
         let (params, mesh) = (self.params, &level.mesh);
         let rounds = Rounds { params, level };
-        let sites = Sites::new(params.sites, mesh, views, self.asked & !judges);
+        let sites = Sites::new(params.sites, mesh, views, self.asked);
+        let judges = hold_out(sites.seeing());
+        let sites = sites.only(self.asked & !judges);
         let sites = sites.with_gloss(SiteGloss::uniform(gloss));
         let surface = Surface::of_base(mesh);
         let mut albedo = rounds.first_albedo(&surface, &sites, views)?;

@@ -171,8 +171,12 @@ pub fn refine(
     let mut held_out = hold_out(subject.looking());
     let mut prepared = Preparation::new(subject, params, all & !held_out)?;
     let seeing = prepared.seeing();
-    if seeing != 0 && (held_out & seeing == 0 || seeing & !held_out == 0) {
-        held_out = hold_out(seeing);
+    let among_seeing = hold_out(seeing);
+    let is_blind = held_out & seeing == 0 || seeing & !held_out == 0;
+    if seeing != 0 && is_blind && held_out != among_seeing {
+        held_out = among_seeing;
+        // Two of them are large.
+        drop(prepared);
         prepared = Preparation::new(subject, params, all & !held_out)?;
     }
     let learning = all & !held_out;

@@ -260,7 +260,7 @@ impl Preparation {
 
     /// The views that see any of the base surface.
     pub fn seeing(&self) -> ViewSet {
-        self.base_sites.visible.iter().fold(0, |all, of| all | of)
+        self.base_sites.seeing()
     }
 
     /// Mean of the object's vertices as they were fused, world frame.

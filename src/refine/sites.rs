@@ -140,6 +140,11 @@ impl Sites {
         }
     }
 
+    /// The views that see any of them.
+    pub fn seeing(&self) -> ViewSet {
+        self.visible.iter().fold(0, |all, of| all | of)
+    }
+
     /// The same sites, seen by a set of views alone.
     pub fn only(&self, set: ViewSet) -> Sites {
         let mut sites = self.clone();
