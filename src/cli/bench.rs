@@ -4,6 +4,8 @@
 //! wall time. Reading the recording is not measured. This is scoring: where the recording has measured poses, they are read.
 //! The live mesh is brought up to the model after every tenth frame that is tracked, which is measured by itself.
 
+mod report;
+
 use super::{
     BenchArgs,
     processor_time::process_cpu_secs,
@@ -17,7 +19,7 @@ use relief::{
     config::{self, CalibrationPlaces, Config, FoundCalibration},
     depth_correction::DepthCorrection,
     devices::open_recording,
-    evaluate::{PosePair, TrajectoryError, trajectory_error},
+    evaluate::{PosePair, trajectory_error},
     fusion::{DepthNoise, Fit, Fusion, FusionStep, InfraredOptics, LiveMesh, TrackingOutcome},
     geometry::CameraModel,
     pipeline::{GivenPoses, infrared_optics, peak_memory_bytes},
@@ -25,80 +27,8 @@ use relief::{
     shading::Calibration,
 };
 use replay::Pacing;
-use serde::Serialize;
-use std::{
-    io::{self, Write},
-    path::Path,
-    time::Instant,
-};
-
-/// What was measured.
-#[derive(Serialize)]
-struct Measured {
-    session: String,
-    voxel_size_m: f64,
-    depth_max_m: f64,
-    threads: usize,
-    frames: Frames,
-    /// Median processor time of what is taken off a frame's depth before it is tracked, not among its steps; 0 where that is nothing.
-    depth_correction_cpu_ms: f64,
-    /// Median processor time of each step and of a whole frame, all threads together.
-    cpu_ms: Vec<StepTime>,
-    frame_cpu_ms: f64,
-    /// Median wall time of a frame.
-    frame_wall_ms: f64,
-    /// Frames a second that this wall time allows.
-    fps: f64,
-    /// Tracked frames by how far they were from being lost; `None` where none was.
-    fitness: Option<Fitness>,
-    model_bytes: usize,
-    /// Largest resident memory of the process, the recording's images among it; `None` where the system does not tell.
-    peak_memory_bytes: Option<u64>,
-    mesh: Mesh,
-    live_mesh: LiveMeshTime,
-    /// `None` without measured poses.
-    trajectory: Option<TrajectoryError>,
-}
-
-#[derive(Default, Serialize)]
-struct Frames {
-    tracked: usize,
-    lost: usize,
-    without_depth: usize,
-    damaged: usize,
-}
-
-#[derive(Serialize)]
-struct StepTime {
-    step: FusionStep,
-    median_ms: f64,
-}
-
-#[derive(Serialize)]
-struct Mesh {
-    vertices: usize,
-    faces: usize,
-    cpu_ms: f64,
-    wall_ms: f64,
-}
-
-#[derive(Serialize)]
-struct Fitness {
-    median: f64,
-    least: f64,
-    /// The least of how firmly the geometry held the camera: see [`Fit::held_share`](relief::fusion::Fit::held_share).
-    least_held_share: f64,
-}
-
-/// What it takes to bring the live mesh up to the model.
-#[derive(Serialize)]
-struct LiveMeshTime {
-    every_frames: usize,
-    /// Medians over the refreshes.
-    cpu_ms: f64,
-    wall_ms: f64,
-    patches: usize,
-}
+use report::{Fitness, Frames, LiveMeshTime, Measured, Mesh, StepTime};
+use std::{io::Write, path::Path, time::Instant};
 
 /// The live mesh is looked at three times a second.
 const LIVE_EVERY_FRAMES: usize = 10;
@@ -148,7 +78,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
     };
     match args.json {
         true => writeln!(Stdout, "{}", serde_json::to_string(&measured)?)?,
-        false => print_text(&measured)?,
+        false => measured.print()?,
     }
     Ok(Verdict::Done)
 }
@@ -326,81 +256,4 @@ fn process_cpu_ms() -> f64 {
 /// The median; 0 of nothing.
 fn median(values: &mut [f64]) -> f64 {
     robust::median(values).unwrap_or(0.0)
-}
-
-fn print_text(measured: &Measured) -> io::Result<()> {
-    let Frames {
-        tracked,
-        lost,
-        without_depth,
-        damaged,
-    } = measured.frames;
-    writeln!(
-        Stdout,
-        "{}: voxels of {} mm, depth to {} m, {} threads",
-        measured.session,
-        1e3 * measured.voxel_size_m,
-        measured.depth_max_m,
-        measured.threads
-    )?;
-    writeln!(
-        Stdout,
-        "frames: {tracked} tracked, {lost} lost, {without_depth} without depth, {damaged} damaged"
-    )?;
-    writeln!(
-        Stdout,
-        "processor time a frame, all threads together, median ms:"
-    )?;
-    writeln!(
-        Stdout,
-        "  {:<16}{:>6.2}, before it is tracked",
-        "depth correction", measured.depth_correction_cpu_ms
-    )?;
-    for time in &measured.cpu_ms {
-        writeln!(
-            Stdout,
-            "  {:<14}{:>8.2}",
-            format!("{:?}", time.step),
-            time.median_ms
-        )?;
-    }
-    writeln!(Stdout, "  {:<14}{:>8.2}", "frame", measured.frame_cpu_ms)?;
-    writeln!(
-        Stdout,
-        "wall time a frame: {:.2} ms, {:.0} frames/s",
-        measured.frame_wall_ms, measured.fps
-    )?;
-    if let Some(fitness) = &measured.fitness {
-        writeln!(
-            Stdout,
-            "fitness: median {:.2}, least {:.2}; held by the geometry: {:.4} at least",
-            fitness.median, fitness.least, fitness.least_held_share
-        )?;
-    }
-    writeln!(Stdout, "model: {} MiB", measured.model_bytes >> 20)?;
-    if let Some(bytes) = measured.peak_memory_bytes {
-        writeln!(Stdout, "largest resident memory: {} MiB", bytes >> 20)?;
-    }
-    let live = &measured.live_mesh;
-    writeln!(
-        Stdout,
-        "live mesh every {} frames: {} patches, {:.1} ms of processor time, {:.1} ms",
-        live.every_frames, live.patches, live.cpu_ms, live.wall_ms
-    )?;
-    let mesh = &measured.mesh;
-    writeln!(
-        Stdout,
-        "mesh: {} vertices, {} faces, {:.1} ms of processor time, {:.1} ms",
-        mesh.vertices, mesh.faces, mesh.cpu_ms, mesh.wall_ms
-    )?;
-    if let Some(error) = &measured.trajectory {
-        writeln!(
-            Stdout,
-            "trajectory: RMSE {:.2} mm, largest error {:.2} mm over {} poses",
-            1e3 * error.rmse_m,
-            1e3 * error.max_m,
-            error.n_pairs
-        )?;
-    }
-    Ok(())
 }

@@ -4,7 +4,7 @@ use super::DepthCorrection;
 use super::ray_order::WrongRays;
 use super::revision::{Revised, Settled, together};
 use crate::{
-    fusion::{Fusion, GoesOn},
+    fusion::{Fusion, GoesOn, Keyframe},
     geometry::{Pose, RangeError},
     interreflection::WhiteLevel,
     multipath::{Compared, Evidence, RangeBias, Seen},
@@ -36,6 +36,8 @@ pub struct MeasuredWhite {
 
 /// Most frames whose views are compared at the end of a scan.
 const MAX_VIEWS: usize = 60;
+/// Most frames that are asked for the white level that is plausible; arbitrary.
+const MAX_ASKED_WHITE: usize = 40;
 
 impl DepthCorrection {
     /// What the depth of the device gets wrong by a scan that was fused as corrected here, refined by how its views agree. As soon as
@@ -66,6 +68,19 @@ impl DepthCorrection {
             relative_sigma: settled.search?.relative_sigma(white),
             evidence: settled.evidence.or_else(asked)?,
         })
+    }
+
+    /// What is plausible for some frames of a scan together.
+    pub(super) fn plausible_white(&self, fusion: &Fusion) -> Option<WhiteLevel> {
+        let multipath = self.multipath.as_ref()?;
+        let of_frame = |frame: &Keyframe| {
+            let nearest = self.predictions.near(frame.time_secs)?;
+            multipath.plausible_white(&frame.depth_m(), nearest.prediction)
+        };
+        let frames = fusion.keyframes();
+        let every = frames.len().div_ceil(MAX_ASKED_WHITE).max(1);
+        let asked = frames.par_iter().step_by(every).with_max_len(1);
+        WhiteLevel::of_one_light(asked.filter_map(of_frame).collect())
     }
 
     /// The views of a scan of a sensor with multipath that was fused with a white level.

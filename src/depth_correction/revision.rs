@@ -11,7 +11,6 @@ use crate::{
     geometry::{CameraModel, Motion, Pose, RangeError},
     interreflection::WhiteLevel,
     multipath::{Compared, Evidence, WhiteSearch},
-    robust::median,
 };
 use depth_camera::Sensor;
 use rayon::prelude::*;
@@ -66,8 +65,6 @@ const MODEL_ROUNDS: usize = 2;
 /// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still
 /// show of it is noise: with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
 const SENSOR_ROUNDS: usize = 3;
-/// Most frames that are asked for the white level that is plausible; arbitrary.
-const MAX_ASKED_WHITE: usize = 40;
 /// So many frames tell the white level as well as all of a long scan, in less time. All are fused again in the end.
 pub(super) const MAX_SOUGHT_BY: usize = 300;
 /// A revision after which frames lie farther from the model, by this factor, is not used. On the recorded sessions they lie nearer by 5 to
@@ -196,21 +193,6 @@ impl DepthCorrection {
             ),
         }
         is_as_close
-    }
-
-    /// The median of what is plausible for each of some frames of a scan, which has one light.
-    fn plausible_white(&self, fusion: &Fusion) -> Option<WhiteLevel> {
-        let multipath = self.multipath.as_ref()?;
-        let of_frame = |frame: &Keyframe| {
-            let nearest = self.predictions.near(frame.time_secs)?;
-            multipath.plausible_white(&frame.depth_m(), nearest.prediction)
-        };
-        let frames = fusion.keyframes();
-        let every = frames.len().div_ceil(MAX_ASKED_WHITE).max(1);
-        let asked = frames.par_iter().step_by(every).with_max_len(1);
-        let plausible = asked.filter_map(of_frame);
-        let mut plausible: Vec<f64> = plausible.map(|WhiteLevel(white)| white).collect();
-        median(&mut plausible).map(WhiteLevel)
     }
 
     /// How the depth of a Kinect II's scan is to be put right, where it was not computed as it was taken to be.

@@ -8,7 +8,6 @@ use super::{
     Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome,
     align::{Beside, align},
     gates, icp,
-    raycast::ModelMap,
 };
 use crate::geometry::{Motion, Pose, motion_between};
 use depth_camera::Image;
@@ -210,13 +209,11 @@ impl Fusion {
             given,
             reach,
         } = *near;
+        // Given views may lie far apart: what the last one saw may not be in this one at all.
+        self.look_from(start);
         let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
-        // Given views may lie far apart: what the last one saw may not be in this one at all.
-        let map = self
-            .model
-            .get_or_insert_with(|| ModelMap::of_level(eye.level(MODEL_LEVEL)));
-        eye.look(MODEL_LEVEL, volume, start, map);
+        let map = self.model.as_ref().ok_or(nothing)?;
         let model = icp::CastModel {
             map,
             lens: &eye.level(MODEL_LEVEL).lens,

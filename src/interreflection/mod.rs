@@ -18,7 +18,7 @@ pub use patches::{Lit, PatchGrid, Radiances};
 pub use receivers::{Receiver, receivers};
 pub use sources::{Sources, Way};
 
-use crate::robust::quantile;
+use crate::robust::{median, quantile};
 use depth_camera::Image;
 use std::f64::consts::PI;
 
@@ -36,6 +36,13 @@ impl WhiteLevel {
     /// The strength of interreflection, 1/(π white level): light sent on for each unit of brightness, area and solid angle.
     pub fn strength(self) -> f64 {
         1.0 / (PI * self.0)
+    }
+
+    /// The median of what is plausible for each image of a scan, which has one light; `None` of none.
+    pub fn of_one_light(plausible: Vec<WhiteLevel>) -> Option<Self> {
+        let plausible = plausible.into_iter();
+        let mut plausible: Vec<f64> = plausible.map(|WhiteLevel(white)| white).collect();
+        median(&mut plausible).map(WhiteLevel)
     }
 }
 

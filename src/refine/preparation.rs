@@ -19,7 +19,6 @@ use super::surface::Surface;
 use super::view::{HIDING_CELL_M, View, ViewContext};
 use crate::geometry::{EdgeAdjacency, TriMesh, coarsened};
 use crate::interreflection::WhiteLevel;
-use crate::robust::median;
 use crate::shading::{Gloss, SATURATION};
 use crate::snapshot::ShadingSnapshot;
 use nalgebra::Point3;
@@ -333,17 +332,12 @@ pub fn views_of(subject: &Subject, params: &RefineParams) -> Vec<View> {
         .map(|snapshot| View::new(snapshot, &context))
         .collect();
     if params.interreflection {
-        let white = optics.white_level().or_else(|| plausible_white(&views));
+        let plausible = views.iter().filter_map(|view| view.plausible_white);
+        let of_all = || WhiteLevel::of_one_light(plausible.collect());
+        let white = optics.white_level().or_else(of_all);
         views.iter_mut().for_each(|view| view.white = white);
     }
     views
-}
-
-/// The median of what is plausible for each view: a scan has one light.
-fn plausible_white(views: &[View]) -> Option<WhiteLevel> {
-    let plausible = views.iter().filter_map(|view| view.plausible_white);
-    let mut plausible: Vec<f64> = plausible.map(|WhiteLevel(white)| white).collect();
-    median(&mut plausible).map(WhiteLevel)
 }
 
 /// The first so many views.
