@@ -6,12 +6,7 @@
 //! This is where a round begins: `minimise` then moves the groups' albedos together with the surface. Within a group albedo may
 //! differ from site to site (`tint`).
 
-use super::clusters::Clusters;
-use super::expansion::Labelling;
-use super::label_spread::spread;
-use super::median_albedo::medians;
-use super::mixture::Mixture;
-use super::neighbourhood::Neighbourhood;
+use super::materials::{Materials, SAME_GROUP};
 use super::observations::Observations;
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
@@ -82,12 +77,6 @@ pub struct Albedo {
     pub spread: f64,
 }
 
-/// Standard deviation of a site's own log albedo that its noisy normal makes, at least.
-const MIN_LOG_SIGMA: f64 = 0.06;
-/// Groups whose logarithms of albedo differ by less are one: what differs by less is told as tints. A site keeps its tint
-/// while that of its group changes by less.
-const SAME_GROUP: f64 = 0.1;
-
 /// Which groups are looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Groups {
@@ -108,55 +97,11 @@ impl Albedo {
         current: Option<(&Albedo, Tukey)>,
     ) -> Option<Albedo> {
         let ratios = ratios(sites, observations, current);
-        let neighbourhood = Neighbourhood::of(sites.kind);
-        let Neighbourhood {
-            potts,
-            n_correlated,
-            ..
-        } = neighbourhood;
-        let (n_groups, costs, neighbours, pair_cost) = match groups.mode {
-            AlbedoMode::Mixture => {
-                let own = medians(sites, observations);
-                let logs: Vec<f64> = own.iter().map(|median| median.log).collect();
-                let mixture = Mixture::fit(&logs, n_correlated, groups.at_most, MIN_LOG_SIGMA)?;
-                let cost = |site: usize, group| match &own[site] {
-                    median if median.log.is_finite() => {
-                        median.weight() * mixture.cost(group, median.log)
-                    }
-                    _ => 0.0,
-                };
-                let costs = costs(own.len(), mixture.len(), cost);
-                let neighbours = neighbourhood.within_parts(sites, all_neighbours);
-                // So many sites in the shade of a leaf tell what one of them does.
-                (mixture.len(), costs, neighbours, potts * n_correlated)
-            }
-            AlbedoMode::Paper => {
-                let own: Vec<f64> = ratios
-                    .iter()
-                    .map(|ratio| log_albedo(*ratio).exp())
-                    .collect();
-                let clusters = Clusters::fit(&sites.points, &own, groups.at_most)?;
-                let cost = |site, group| clusters.cost(site, group);
-                let costs = costs(own.len(), clusters.len(), cost);
-                (clusters.len(), costs, all_neighbours.to_vec(), potts)
-            }
-        };
-        let labelling = Labelling {
-            costs: &costs,
-            n_labels: n_groups,
-            neighbours: &neighbours,
-            pair_cost,
-        };
-        let mut labels = labelling.solve();
-        let albedos = of_groups(&labels, n_groups, &ratios);
-        if groups.mode == AlbedoMode::Mixture && are_twins_among(&albedos) {
-            let fewer = Groups {
-                at_most: n_groups - 1,
-                ..groups
-            };
-            return Self::estimate(sites, all_neighbours, observations, fewer, current);
-        }
-        spread(&labelling, &mut labels, &sites.points, all_neighbours);
+        let Materials {
+            labels,
+            n_groups,
+            typical,
+        } = Materials::of(sites, all_neighbours, observations, &ratios, groups)?;
         let albedo = Self::of_labels(labels, n_groups, &ratios);
         Some(match current {
             Some((before, _)) => {
@@ -166,7 +111,11 @@ impl Albedo {
                     ..albedo.tinted(kept, &ratios)
                 }
             }
-            None => albedo,
+            // A sum over all of a group is drawn to what of it is painted, or in the shade.
+            None => match typical {
+                Some(typical) => albedo.with_groups(typical),
+                None => albedo,
+            },
         })
     }
 
@@ -232,6 +181,13 @@ impl Albedo {
             groups,
             spread: median_absolute_deviation(&mut offsets),
         }
+    }
+
+    /// The same with other albedos of the groups.
+    fn with_groups(mut self, groups: Vec<f64>) -> Albedo {
+        let tints = std::mem::take(&mut self.tints);
+        self.repaint(groups, tints);
+        self
     }
 
     /// Gives the groups other albedos and the sites other tints.
@@ -311,7 +267,7 @@ pub fn labels_by_face(kind: SiteKind, labels: Vec<u8>, mesh: &TriMesh) -> Vec<u8
 }
 
 /// The albedos of given groups: Eq. (2) within each, and of all sites for one that no site belongs to.
-fn of_groups(labels: &[u8], n_groups: usize, ratios: &[Ratio]) -> Vec<f64> {
+pub fn of_groups(labels: &[u8], n_groups: usize, ratios: &[Ratio]) -> Vec<f64> {
     let plus = |sum: Ratio, ratio: &Ratio| (sum.0 + ratio.0, sum.1 + ratio.1);
     let mut sums: Vec<Ratio> = vec![(0.0, 0.0); n_groups];
     for (&label, ratio) in labels.iter().zip(ratios) {
@@ -325,26 +281,13 @@ fn of_groups(labels: &[u8], n_groups: usize, ratios: &[Ratio]) -> Vec<f64> {
     sums.iter().map(of_sum).collect()
 }
 
-/// Whether two groups are of nearly one albedo: a stain may look like two materials until each is measured.
-fn are_twins_among(groups: &[f64]) -> bool {
-    let mut logs: Vec<f64> = groups.iter().map(|albedo| albedo.ln()).collect();
-    logs.sort_by(f64::total_cmp);
-    logs.windows(2).any(|pair| pair[1] - pair[0] < SAME_GROUP)
-}
-
 fn by_site(groups: &[f64], labels: &[u8], tints: &[f64]) -> Vec<f64> {
     let of_site = |(&label, tint): (&u8, &f64)| groups[label as usize] * tint;
     labels.iter().zip(tints).map(of_site).collect()
 }
 
-/// The data term of Eq. (4): the cost of every group for every site, site by site.
-fn costs(n_sites: usize, n_groups: usize, cost: impl Fn(usize, usize) -> f64) -> Vec<f64> {
-    let of_site = |site| (0..n_groups).map(move |group| (site, group));
-    let all = (0..n_sites).flat_map(of_site);
-    all.map(|(site, group)| cost(site, group)).collect()
-}
-
-fn log_albedo((numerator, denominator): Ratio) -> f64 {
+/// Logarithm of the albedo that sums tell; NaN if they tell none.
+pub fn log_albedo((numerator, denominator): Ratio) -> f64 {
     if numerator > 0.0 && denominator > 0.0 {
         (numerator / denominator).ln()
     } else {
@@ -382,18 +325,6 @@ fn ratios(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_stain_in_two_halves_is_no_second_material() {
-        let are_twins = |albedos: [f64; 2]| {
-            let ratios = albedos.map(|albedo| (2.0 * albedo, 2.0));
-            are_twins_among(&of_groups(&[0, 1], 2, &ratios))
-        };
-        assert!(are_twins([0.165, 0.179]) && are_twins([0.179, 0.165]));
-        assert!(!are_twins([0.15, 0.21]));
-        // A group that no site belongs to has the albedo of all.
-        assert!(are_twins_among(&of_groups(&[0, 0], 2, &[(0.3, 2.0); 2])));
-    }
 
     #[test]
     fn a_site_keeps_its_tint_until_it_goes_to_another_material() {

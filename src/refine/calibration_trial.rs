@@ -139,7 +139,7 @@ impl CalibrationTrial<'_> {
         let mut albedo = rounds.first_albedo(&surface, &sites, views)?;
         // The views that judge see the highlights that the albedo was told by, too.
         albedo.gloss = vec![gloss; albedo.groups.len()];
-        slow_gain(&rounds, mesh, &albedo, views, judges)
+        slow_gain(&rounds, (mesh, &albedo), &sites.are_seen(), views, judges)
     }
 }
 

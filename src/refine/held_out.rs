@@ -2,7 +2,8 @@
 //!
 //! Views that refinement did not use are aligned with the base surface and with the refined one, each is rendered in them
 //! pixel by pixel ([`render`]), and both are compared with what was observed: in intensity, which shows slow shape and
-//! albedo, and in its gradient, which shows detail. Compared are the pixels that both surfaces cover.
+//! albedo, and in its gradient, which shows detail. Compared are the pixels that both surfaces cover with what views learnt from show:
+//! of the rest refinement says nothing.
 
 use super::albedo::Albedo;
 use super::rendering::render;
@@ -112,11 +113,13 @@ pub fn every(first: usize, step: usize, n_views: usize) -> ViewSet {
         .fold(0, |set, view| set | 1 << view)
 }
 
-/// Lets a set of views judge a base state and a refined one; they are left aligned with the refined surface.
+/// Lets a set of views judge a base state and a refined one, by the sites that others told of; they are left aligned with the refined
+/// surface.
 pub fn judge(
     rounds: &Rounds,
     base: &State,
     refined: &mut State,
+    is_told: &[bool],
     held_out: ViewSet,
 ) -> Vec<JudgedView> {
     let State {
@@ -124,8 +127,8 @@ pub fn judge(
         views,
         albedo,
     } = refined;
-    let base = rounds.unseen(&base.surface.mesh, &base.albedo);
-    let refined = rounds.unseen(&surface.mesh, albedo);
+    let base = rounds.unseen(&base.surface.mesh, &base.albedo, is_told);
+    let refined = rounds.unseen(&surface.mesh, albedo, is_told);
     let held_out = views
         .par_iter_mut()
         .with_max_len(1)
@@ -145,16 +148,16 @@ pub fn judge(
         .collect()
 }
 
-/// Root mean square of the gains, less 1, by which a set of views differs slowly in brightness from a mesh with its albedo; `None`
-/// where they show nothing of it.
+/// Root mean square of the gains, less 1, by which a set of views differs slowly in brightness from a mesh with its albedo, where
+/// others told of it; `None` where they show nothing of that.
 pub fn slow_gain(
     rounds: &Rounds,
-    mesh: &TriMesh,
-    albedo: &Albedo,
+    (mesh, albedo): (&TriMesh, &Albedo),
+    is_told: &[bool],
     views: &[View],
     judges: ViewSet,
 ) -> Option<f64> {
-    let surface = rounds.unseen(mesh, albedo);
+    let surface = rounds.unseen(mesh, albedo, is_told);
     let judging = views.par_iter().with_max_len(1).enumerate();
     let judging = judging.filter(|(view, _)| judges >> view & 1 == 1);
     let sums = judging.map(|(_, view)| {

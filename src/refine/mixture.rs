@@ -88,6 +88,32 @@ impl Mixture {
         squared + sigma.ln()
     }
 
+    /// A component that is none: its values turned out to lie nearer to another one, or nowhere. Of several the one that is farthest
+    /// off. Between two materials lies a third if sites of either go to it. Given what is typical of each, NaN of one without values.
+    pub fn stray(&self, typical: &[f64]) -> Option<usize> {
+        let off =
+            |component: usize| match (typical[component] - self.components[component].mean).abs() {
+                off if off.is_nan() => f64::INFINITY,
+                off => off,
+            };
+        let is_stray = |&component: &usize| {
+            let all = 0..self.len();
+            let mut others = all.filter(|&other| other != component);
+            others.any(|other| {
+                let to_other = (typical[component] - self.components[other].mean).abs();
+                to_other < off(component) || typical[component].is_nan()
+            })
+        };
+        let strays = (0..self.len()).filter(is_stray);
+        strays.max_by(|&a, &b| off(a).total_cmp(&off(b)))
+    }
+
+    /// The other components.
+    pub fn without(mut self, component: usize) -> Mixture {
+        self.components.remove(component);
+        self
+    }
+
     fn is_separated(&self) -> bool {
         self.components.iter().all(|c| c.share >= MIN_SHARE)
             && self.components.windows(2).all(|pair| {
@@ -248,6 +274,24 @@ mod tests {
         let mixture = Mixture::fit(&[bright, dark].concat(), 50.0, 6, 0.06).expect("values");
         assert_eq!(mixture.len(), 2);
         assert!((mixture.components[0].mean + 1.8).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_component_whose_values_lie_elsewhere_or_nowhere_is_let_go() {
+        let at = |mean: f64| Component {
+            share: 0.3,
+            mean,
+            sigma: 0.1,
+        };
+        let mixture = Mixture {
+            components: vec![at(-2.3), at(-1.75), at(-1.55)],
+        };
+        assert_eq!(mixture.stray(&[-2.6, -1.72, -1.56]), None);
+        assert_eq!(mixture.stray(&[-2.19, -1.57, -1.56]), Some(1));
+        assert_eq!(mixture.stray(&[f64::NAN, -1.57, -1.56]), Some(0));
+        let rest = mixture.without(1);
+        assert_eq!((rest.len(), rest.stray(&[-2.3, -1.6])), (2, None));
+        assert_eq!(rest.without(1).stray(&[-1.9]), None, "the last");
     }
 
     #[test]

@@ -31,6 +31,7 @@ mod held_out;
 mod label_spread;
 mod level;
 mod light_camera;
+mod materials;
 mod max_flow;
 mod median_albedo;
 mod mixture;

@@ -9,7 +9,7 @@ use super::level::{Level, levels};
 use super::observations::Observations;
 use super::optics::Optics;
 use super::params::RefineParams;
-use super::rounds::{Rounds, State};
+use super::rounds::{Rounds, State, final_loss};
 use super::self_calibration::{Told, Tolerance, gloss_of_materials};
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewError, ViewSet};
@@ -236,7 +236,7 @@ impl Preparation {
     }
 
     /// Lets a set of views judge the base state and a refined one of the finest level, both learnt from another set; they are left
-    /// aligned with the refined surface. What is printed is known of both surfaces alike.
+    /// aligned with the refined surface. Of the base surface, too, albedo and tints are told by the views that the images have aligned.
     pub fn judge(
         &self,
         mut base: State,
@@ -246,15 +246,18 @@ impl Preparation {
     ) -> Vec<JudgedView> {
         self.prolong(&mut base, 0, self.levels.len() - 1);
         let rounds = self.finest();
-        if rounds.finds_tints() {
-            let State {
-                surface, albedo, ..
-            } = &base;
-            let sites = rounds.sites(&surface.mesh, &refined.views, learning, albedo);
-            let observations = Observations::new(&sites, &refined.views, None, None);
-            base.albedo = rounds.tinted(surface, &sites, &observations, albedo.clone());
+        let State {
+            surface, albedo, ..
+        } = &base;
+        let views = &refined.views;
+        let sites = rounds.sites(&surface.mesh, views, learning, albedo);
+        let observations = Observations::new(&sites, views, None, None);
+        let loss = final_loss(observations.residual_scale(&sites, &albedo.by_site));
+        let current = Some((albedo, loss));
+        if let Some(albedo) = rounds.estimate_albedo(&sites, &observations, current) {
+            base.albedo = rounds.tinted(surface, &sites, &observations, albedo);
         }
-        judge(&rounds, &base, refined, judges)
+        judge(&rounds, &base, refined, &sites.are_seen(), judges)
     }
 
     /// The views that see any of the base surface.

@@ -37,11 +37,13 @@ pub struct State {
     pub albedo: Albedo,
 }
 
-/// A surface that nobody looks at.
+/// A surface as views told of it, for one that was not among them.
 pub struct UnseenSurface<'a> {
     /// Its mesh.
     pub mesh: &'a TriMesh,
     sites: Sites,
+    /// Whether any of those views saw each site.
+    is_told: &'a [bool],
     /// Albedo of each site.
     pub albedo: &'a [f64],
     /// Mean of the vertices.
@@ -205,10 +207,18 @@ impl Rounds<'_> {
     }
 
     /// Aligns one view with a surface that it did not help to find: pose, gain and gain field, the surface held. Returns the
-    /// surface's sites with those that the view alone sees.
+    /// surface's sites with those that the view sees of what others told of: of the rest not even the albedo is known.
     pub fn settle(&self, view: &mut View, subject: &UnseenSurface) -> Sites {
-        let UnseenSurface { sites, albedo, .. } = subject;
-        let sites = sites.clone().seen_by(std::slice::from_ref(view), 1);
+        let UnseenSurface {
+            sites,
+            is_told,
+            albedo,
+            ..
+        } = subject;
+        let mut sites = sites.clone().seen_by(std::slice::from_ref(view), 1);
+        for (visible, is_told) in sites.visible.iter_mut().zip(*is_told) {
+            *visible &= ViewSet::from(*is_told);
+        }
         let (chosen, stands_for) = sites_to_align_by(sites.of_view(0));
         for cutoff in CUTOFFS {
             let observations = Observations::for_scale(&sites, std::slice::from_ref(view));
@@ -261,11 +271,17 @@ impl<'a> Rounds<'a> {
         Sites::new(self.params.sites, mesh, views, set).with_gloss(albedo.site_gloss())
     }
 
-    /// A surface for views that did not help to find it.
-    pub fn unseen<'s>(&self, mesh: &'s TriMesh, albedo: &'s Albedo) -> UnseenSurface<'s> {
+    /// A surface for views that did not help to find it, and of which sites others told.
+    pub fn unseen<'s>(
+        &self,
+        mesh: &'s TriMesh,
+        albedo: &'s Albedo,
+        is_told: &'s [bool],
+    ) -> UnseenSurface<'s> {
         UnseenSurface {
             mesh,
             sites: Sites::unseen(self.params.sites, mesh).with_gloss(albedo.site_gloss()),
+            is_told,
             albedo: &albedo.by_site,
             centre: mesh.centre(),
         }

@@ -145,6 +145,11 @@ impl Sites {
         self.visible.iter().fold(0, |all, of| all | of)
     }
 
+    /// Whether any view sees each of them.
+    pub fn are_seen(&self) -> Vec<bool> {
+        self.visible.iter().map(|of| *of != 0).collect()
+    }
+
     /// The same sites, seen by a set of views alone.
     pub fn only(&self, set: ViewSet) -> Sites {
         let mut sites = self.clone();
