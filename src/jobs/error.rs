@@ -55,6 +55,15 @@ impl JobError {
     pub(super) fn is_passing(&self) -> bool {
         matches!(self, JobError::Io { source, .. } if is_passing(source))
     }
+
+    /// Whether what was looked for is not there, and not that the disk does not say.
+    pub(super) fn is_absence(&self) -> bool {
+        match self {
+            JobError::NotRefinable { .. } => true,
+            JobError::Io { source, .. } => source.kind() == io::ErrorKind::NotFound,
+            _ => false,
+        }
+    }
 }
 
 #[cfg(test)]

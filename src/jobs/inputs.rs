@@ -4,7 +4,7 @@ use super::{JobError, JobId, spool};
 use crate::pipeline::{BASE_PLY, CALIBRATION, SCENE_PLY, SNAPSHOTS, TRAJECTORY};
 use sha2::{Digest, Sha256};
 use std::{
-    fs::{self, File},
+    fs::{self, File, FileType},
     io::{self, Read},
     path::{Path, PathBuf},
 };
@@ -31,7 +31,7 @@ pub fn job_id(scan: &Path, settings: &str, version: &str) -> Result<JobId, JobEr
     part(&mut hash, "scan", name.as_encoded_bytes());
     for name in [BASE_PLY, TRAJECTORY] {
         let path = scan.join(name);
-        if !path.is_file() {
+        if !is_file(&path)? {
             return Err(lacks(name));
         }
         file(&mut hash, name, &path)?;
@@ -39,14 +39,14 @@ pub fn job_id(scan: &Path, settings: &str, version: &str) -> Result<JobId, JobEr
     // Without these what was fused is the base mesh, and the calibration that of the device.
     for name in [SCENE_PLY, CALIBRATION] {
         let path = scan.join(name);
-        if path.is_file() {
+        if is_file(&path)? {
             file(&mut hash, name, &path)?;
         }
     }
     let snapshots = scan.join(SNAPSHOTS);
-    let files = match snapshots.is_dir() {
-        true => files_in(&snapshots).map_err(spool::at(&snapshots))?,
-        false => Vec::new(),
+    let files = match kind_of(&snapshots)? {
+        Some(kind) if kind.is_dir() => files_in(&snapshots).map_err(spool::at(&snapshots))?,
+        _ => Vec::new(),
     };
     if files.is_empty() {
         return Err(lacks("shading image"));
@@ -60,6 +60,27 @@ pub fn job_id(scan: &Path, settings: &str, version: &str) -> Result<JobId, JobEr
         session: scan.to_owned(),
         what,
     })
+}
+
+/// Whether a file is there; where the disk does not say, that is an error, and the file is not missing.
+fn is_file(path: &Path) -> Result<bool, JobError> {
+    kind_of(path).map(|kind| kind.is_some_and(|kind| kind.is_file()))
+}
+
+/// What lies at a path, if anything does.
+fn kind_of(path: &Path) -> Result<Option<FileType>, JobError> {
+    match fs::metadata(path) {
+        Ok(found) => Ok(Some(found.file_type())),
+        Err(error)
+            if matches!(
+                error.kind(),
+                io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
+            ) =>
+        {
+            Ok(None)
+        }
+        Err(error) => Err(spool::at(path)(error)),
+    }
 }
 
 /// Adds a named piece, framed by its lengths so that no two lists of pieces read the same.
@@ -108,6 +129,7 @@ fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
 mod tests {
     use super::*;
     use crate::jobs::scenes::scan;
+    use std::os::unix::fs::symlink;
 
     #[test]
     fn a_name_follows_from_every_input_and_from_nothing_else() {
@@ -137,6 +159,22 @@ mod tests {
             let now = name();
             assert!(!seen.contains(&now), "{changed}");
             seen.push(now);
+        }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_looked_at_is_not_one_that_is_missing() {
+        for name in ["base.ply", "scene.ply", "snapshots"] {
+            let root = tempfile::tempdir().unwrap();
+            let scan = scan(root.path(), "a");
+            let path = scan.join(name);
+            if path.exists() {
+                fs::rename(&path, root.path().join("aside")).unwrap();
+            }
+            // A link to itself leads nowhere, and the system says so.
+            symlink(name, &path).unwrap();
+            let error = job_id(&scan, "", VERSION).unwrap_err();
+            assert!(matches!(error, JobError::Io { .. }), "{name}: {error}");
         }
     }
 

@@ -15,6 +15,9 @@ use std::{fs, io, time::Duration};
 
 /// After the disk has refused, or where all that wait pause for want of room, the worker looks again so much later.
 const AFTER_REFUSAL: Duration = Duration::from_secs(5);
+/// A scan that cannot be read is looked at so often before the attempt has failed, unless the error is one that passes. Arbitrary:
+/// in five minutes a server of files has started again.
+const MAX_LOOKS: u32 = 60;
 
 impl Shared {
     /// Works until the worker is to stop.
@@ -79,8 +82,12 @@ impl Shared {
     }
 
     fn run(&self, record: &Record) -> Result<(), JobError> {
-        if let Some(why) = self.why_stale(record) {
-            return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
+        match self.why_stale(record) {
+            Ok(None) => {}
+            Ok(Some(why)) => {
+                return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
+            }
+            Err(error) => return self.fail_unless_passing(record, error),
         }
         let number = record.failures.len() + 1;
         tracing::info!(job = %record.id, scan = record.scan, attempt = number, "refinement begins");
@@ -140,18 +147,26 @@ impl Shared {
                 max_idle: Duration::from_secs_f64(setup.params.max_idle_secs),
             }
         };
-        let is_cancelled = || lock(&self.board).cancelled.as_ref() == Some(&record.id);
-        let is_told = || self.bell.is_stopped() || is_cancelled();
+        let is_told = || self.is_told(record);
         let slot = self.progress.clone();
         let on_progress = move |progress| *lock(&slot) = Some(progress);
         child::run(&attempt, is_told, on_progress)
     }
 
+    /// Whether a job is to end, or the worker is.
+    fn is_told(&self, record: &Record) -> bool {
+        self.bell.is_stopped() || lock(&self.board).cancelled.as_ref() == Some(&record.id)
+    }
+
     /// Takes the outputs of an attempt into the scan, unless the scan has changed or somebody has ended the job.
     fn take_in(&self, record: &Record) -> Result<(), JobError> {
-        if let Some(why) = self.why_stale(record) {
-            self.clear(record)?;
-            return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
+        match self.why_stale(record) {
+            Ok(None) => {}
+            Ok(Some(why)) => {
+                self.clear(record)?;
+                return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
+            }
+            Err(error) => return self.fail_unless_passing(record, error),
         }
         match self.begin_landing(record)? {
             true => self.deliver(record),
@@ -166,9 +181,7 @@ impl Shared {
             let begun = lock(&self.spool).begin_landing(&record.id);
             match begun {
                 Err(error @ JobError::Io { .. }) if !self.bell.is_stopped() => {
-                    tracing::error!(job = %record.id, "the refined mesh waits: {error}");
-                    self.tell_refusal(Some(error.to_string()));
-                    self.bell.rest(AFTER_REFUSAL);
+                    self.await_disk(record, &error);
                 }
                 begun => {
                     self.tell_refusal(None);
@@ -176,6 +189,13 @@ impl Shared {
                 }
             }
         }
+    }
+
+    /// Tells what the disk refuses to a job, and rests before that is tried again.
+    fn await_disk(&self, record: &Record, error: &JobError) {
+        tracing::error!(job = %record.id, "refinement waits: {error}");
+        self.tell_refusal(Some(error.to_string()));
+        self.bell.rest(AFTER_REFUSAL);
     }
 
     /// Tells why the worker waits for the disk, or with `None` that it does not any more.
@@ -194,26 +214,55 @@ impl Shared {
                 lock(&self.spool).end(&record.id, JobState::Done, None)
             }
             // The outputs stay where they are, and land later.
-            Err(error) if error.is_passing() => Err(error),
-            Err(error) => {
-                tracing::error!(job = %record.id, "the refined mesh cannot be delivered: {error}");
-                self.clear(record)?;
-                lock(&self.spool).fail(&record.id, error.to_string())
+            Err(error) => self.fail_unless_passing(record, error),
+        }
+    }
+
+    /// Ends an attempt that an error of the disk is in the way of. One that passes, or that stood in the way until the job or the
+    /// worker was to end, is returned, and the attempt stays what it is.
+    fn fail_unless_passing(&self, record: &Record, error: JobError) -> Result<(), JobError> {
+        if error.is_passing() || self.is_told(record) {
+            return Err(error);
+        }
+        tracing::error!(job = %record.id, "this attempt at refinement is given up: {error}");
+        self.clear(record)?;
+        lock(&self.spool).fail(&record.id, error.to_string())
+    }
+
+    /// Why a job is not about its scan any more, as soon as the disk lets that be read.
+    ///
+    /// # Errors
+    /// If the scan cannot be read for long, or not before the job or the worker is to end.
+    fn why_stale(&self, record: &Record) -> Result<Option<String>, JobError> {
+        let mut n_looks = 1;
+        loop {
+            match self.compare(record) {
+                Err(error) if self.is_told(record) => return Err(error),
+                Err(error) if n_looks >= MAX_LOOKS && !error.is_passing() => return Err(error),
+                Err(error) => {
+                    self.await_disk(record, &error);
+                    n_looks += 1;
+                }
+                compared => {
+                    self.tell_refusal(None);
+                    return compared;
+                }
             }
         }
     }
 
-    /// Why a job is not about its scan any more.
-    fn why_stale(&self, record: &Record) -> Option<String> {
+    /// Looks once why a job is not about its scan any more.
+    fn compare(&self, record: &Record) -> Result<Option<String>, JobError> {
         let (scan, settings) = {
             let spool = lock(&self.spool);
             (spool.scan_folder(record), spool.settings_file(record))
         };
         let read = fs::read_to_string(&settings).map_err(spool::at(&settings));
         match read.and_then(|settings| job_id(&scan, &settings, &record.version)) {
-            Ok(id) if id == record.id => None,
-            Ok(_) => Some("the scan has changed since".to_owned()),
-            Err(error) => Some(error.to_string()),
+            Ok(id) if id == record.id => Ok(None),
+            Ok(_) => Ok(Some("the scan has changed since".to_owned())),
+            Err(error) if error.is_absence() => Ok(Some(error.to_string())),
+            Err(error) => Err(error),
         }
     }
 

@@ -83,3 +83,42 @@ fn a_result_that_the_disk_keeps_from_landing_is_not_made_again() {
     assert_eq!(bench.n_runs(), 1);
     worker.stop();
 }
+
+#[test]
+fn a_result_whose_scan_cannot_be_read_for_a_moment_is_not_made_again() {
+    // A link to itself leads nowhere.
+    let bench = Workbench::new(&format!(
+        "mv $scan/trajectory.txt $here/kept\nln -s trajectory.txt $scan/trajectory.txt\n{REFINE}"
+    ));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let refusal = poll("the refusal", || worker.status().refusal);
+    assert!(refusal.contains("trajectory.txt"), "{refusal}");
+    fs::rename(bench.path("kept"), bench.scan.join("trajectory.txt")).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    assert_eq!(bench.n_runs(), 1);
+    assert_eq!(worker.status(), WorkerStatus::default());
+    worker.stop();
+}
+
+#[test]
+fn a_job_whose_scan_cannot_be_read_can_be_cancelled() {
+    let bench = Workbench::new(REFINE);
+    let (spool, id) = bench.spool_with_job(VERSION);
+    drop(spool);
+    let trajectory = bench.scan.join("trajectory.txt");
+    fs::remove_file(&trajectory).unwrap();
+    std::os::unix::fs::symlink("trajectory.txt", &trajectory).unwrap();
+    let worker = bench.worker();
+    poll("the refusal", || worker.status().refusal);
+    worker.cancel(&id).unwrap();
+    poll("the end of the job", || {
+        worker.at_work_on("a").is_none().then_some(())
+    });
+    assert_eq!(
+        (worker.list()[0].state, bench.n_runs()),
+        (JobState::Cancelled, 0)
+    );
+    worker.stop();
+}
