@@ -17,8 +17,8 @@ const DELIVERED: [&str; 4] = [REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON
 /// The reports of the scan itself, which those of its refinement replace, are kept under their names with this before them.
 const KEPT: &str = "capture-";
 
-/// Moves the outputs, and removes the attempt's folder. A move that was begun before is ended; base mesh, poses and shading
-/// images are not touched.
+/// Moves the outputs; what else is in the attempt's folder stays there. A move that was begun before is ended; base mesh, poses and
+/// shading images are not touched.
 ///
 /// # Errors
 /// If the system refuses; the move may be begun again.
@@ -35,11 +35,7 @@ pub fn land(out: &Path, scan: &Path) -> Result<(), JobError> {
             fs::rename(&from, scan.join(name)).map_err(spool::at(&from))?;
         }
     }
-    sync(scan)?;
-    match fs::remove_dir_all(out) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        removed => removed.map_err(spool::at(out)),
-    }
+    sync(scan)
 }
 
 /// Gives a file a second name, which it keeps when another takes its first.
@@ -104,7 +100,7 @@ mod tests {
             assert_eq!(read("base.ply"), "the base mesh");
             assert_eq!(read("capture-report.json"), "of the scan");
             assert!(!scan.join("capture-report.html").exists(), "it had none");
-            assert!(!out.exists());
+            assert!(DELIVERED.iter().all(|name| !out.join(name).exists()));
         }
     }
 

@@ -208,7 +208,8 @@ impl Shared {
             let spool = lock(&self.spool);
             (spool.scan_folder(record), spool.output_folder(record))
         };
-        match out.map_or(Ok(()), |out| land(&out, &scan)) {
+        let landed = out.map_or(Ok(()), |out| land(&out, &scan));
+        match landed.and_then(|()| self.clear(record)) {
             Ok(()) => {
                 tracing::info!(job = %record.id, scan = record.scan, "refined");
                 lock(&self.spool).end(&record.id, JobState::Done, None)
@@ -272,11 +273,16 @@ impl Shared {
         lock(&self.spool).put_back(&record.id)
     }
 
-    /// Removes what an attempt left.
+    /// Removes what an attempt left. What cannot be removed, now or later, is left where it is: the next attempt takes another
+    /// folder, and neither this job nor others wait for it.
     fn clear(&self, record: &Record) -> Result<(), JobError> {
-        match lock(&self.spool).output_folder(record) {
-            Some(out) => spool::remove_folder(&out),
-            None => Ok(()),
+        let out = lock(&self.spool).output_folder(record);
+        match out.map_or(Ok(()), |out| spool::remove_folder(&out)) {
+            Err(error) if !error.is_passing() => {
+                tracing::warn!(job = %record.id, "what an attempt at refinement left stays: {error}");
+                Ok(())
+            }
+            cleared => cleared,
         }
     }
 }

@@ -166,8 +166,16 @@ impl Spool {
                 // The worker goes on moving its outputs.
                 continue;
             }
-            if let Some(folder) = self.output_folder(&record) {
-                remove_folder(&folder)?;
+            let cleared = match self.output_folder(&record) {
+                Some(folder) => remove_folder(&folder),
+                None => Ok(()),
+            };
+            if let Err(error) = cleared {
+                tracing::warn!(job = %record.id, "what an attempt at refinement left stays: {error}");
+                if error.is_passing() {
+                    // The worker removes it later, and puts the job back.
+                    continue;
+                }
             }
             let attempt = record.attempt.take();
             let taken = match (&record.ending, attempt) {

@@ -191,6 +191,21 @@ fn a_full_disk_costs_neither_the_start_nor_the_job() {
 }
 
 #[test]
+fn what_an_attempt_left_and_cannot_be_removed_costs_neither_the_start_nor_the_job() {
+    let root = tempfile::tempdir().unwrap();
+    let scan = scan(root.path(), "a");
+    let spool = open(root.path());
+    spool.submit(&request(1, "a")).unwrap();
+    spool.claim().unwrap().unwrap();
+    // A file cannot be removed as a folder, whoever asks.
+    fs::write(scan.join("refined-1"), "").unwrap();
+    drop(spool);
+    let spool = open(root.path());
+    assert_eq!(states(&spool)[&id(1)], JobState::Waiting);
+    assert_eq!(spool.claim().unwrap().unwrap().attempt, Some(2));
+}
+
+#[test]
 fn a_newer_job_takes_the_place_of_one_that_waits_but_not_of_one_that_runs() {
     let root = tempfile::tempdir().unwrap();
     let spool = open(root.path());

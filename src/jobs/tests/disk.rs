@@ -122,3 +122,18 @@ fn a_job_whose_scan_cannot_be_read_can_be_cancelled() {
     );
     worker.stop();
 }
+
+#[test]
+fn what_an_attempt_left_and_cannot_be_removed_holds_nobody_up() {
+    // A file cannot be removed as a folder, whoever asks.
+    let bench = Workbench::new(&format!(
+        "if [ $(wc -l < $here/runs) = 1 ]; then rmdir $out; echo > $out; exit 1; fi\n{REFINE}"
+    ));
+    let worker = bench.worker();
+    let job = worker.submit(&bench.scan).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!(ended.state, JobState::Done);
+    assert_eq!(ended.failures, ["exit code 1"]);
+    assert!(bench.scan.join("refined-1").is_file());
+    worker.stop();
+}
