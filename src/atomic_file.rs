@@ -62,10 +62,10 @@ fn write_and_sync(
     file.sync_all()
 }
 
-/// Makes the rename itself survive a power cut, where the file system can.
+/// Puts the entries of the folder around a path on the disk, so that a rename survives a power cut, where the file system can.
 ///
 /// Some network file systems cannot sync a folder. The file is whole either way, so that this is no failure.
-fn sync_folder_of(path: &Path) {
+pub fn sync_folder_of(path: &Path) {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

@@ -2,7 +2,7 @@
 
 use super::{JobError, spool};
 use crate::{
-    atomic_file::write_atomically,
+    atomic_file::{sync_folder_of, write_atomically},
     pipeline::{REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON},
 };
 use std::{
@@ -35,7 +35,8 @@ pub fn land(out: &Path, scan: &Path) -> Result<(), JobError> {
             fs::rename(&from, scan.join(name)).map_err(spool::at(&from))?;
         }
     }
-    sync(scan)
+    sync_folder_of(&scan.join(REPORT_JSON));
+    Ok(())
 }
 
 /// Gives a file a second name, which it keeps when another takes its first.
@@ -64,12 +65,6 @@ fn keep_copy(from: &Path, kept: &Path) -> io::Result<()> {
     }
     let mut file = File::open(from)?;
     write_atomically(kept, |copy| io::copy(&mut file, copy).map(|_| ()))
-}
-
-fn sync(folder: &Path) -> Result<(), JobError> {
-    File::open(folder)
-        .and_then(|folder| folder.sync_all())
-        .map_err(spool::at(folder))
 }
 
 #[cfg(test)]

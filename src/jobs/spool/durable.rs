@@ -1,9 +1,10 @@
-//! The ways in which the spool changes the disk, each whole or not at all, and on the disk when it returns.
+//! The ways in which the spool changes the disk, each whole or not at all, and on the disk when it returns, where the file system can
+//! sync a folder.
 
-use crate::atomic_file::write_atomically;
+use crate::atomic_file::{sync_folder_of, write_atomically};
 use serde::Serialize;
 use std::{
-    fs::{self, File},
+    fs,
     io::{self, Write},
     path::Path,
 };
@@ -25,15 +26,17 @@ pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
     interruption::point()?;
     fs::rename(from, to)?;
-    sync_folder(to)?;
-    sync_folder(from)
+    sync_folder_of(to);
+    sync_folder_of(from);
+    Ok(())
 }
 
 /// Removes a file.
 pub fn remove(path: &Path) -> io::Result<()> {
     interruption::point()?;
     fs::remove_file(path)?;
-    sync_folder(path)
+    sync_folder_of(path);
+    Ok(())
 }
 
 /// Removes a folder and all that is in it, if it exists.
@@ -43,12 +46,6 @@ pub fn remove_folder(path: &Path) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         removed => removed,
     }
-}
-
-/// Puts the entries of the folder around a path on the disk.
-fn sync_folder(path: &Path) -> io::Result<()> {
-    path.parent()
-        .map_or(Ok(()), |folder| File::open(folder)?.sync_all())
 }
 
 #[cfg(not(test))]

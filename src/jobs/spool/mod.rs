@@ -8,8 +8,8 @@
 //! ```
 //!
 //! The disk is the only truth: every change reads the file, writes it anew where it lies, and then moves it. A process that ends
-//! between the two leaves a file that says where it belongs, and [`Spool::open`] takes it there. Files and folders are synced. Not
-//! written down is how long a job pauses whose outputs found no room: another process may find some.
+//! between the two leaves a file that says where it belongs, and [`Spool::open`] takes it there. Files are synced, and folders where
+//! the file system can. Not written down is how long a job pauses whose outputs found no room: another process may find some.
 
 mod durable;
 mod pauses;
