@@ -157,7 +157,8 @@ pub struct RefinementBody {
     pub rmse: Option<f64>,
     /// Seconds that are left.
     pub secs_left: Option<f64>,
-    /// What is to be said of its ending, or why it waits behind others: its outputs found no room on the disk.
+    /// What is to be said of its ending; of one that waits or runs, why its last attempt failed, or that its outputs found no room on the
+    /// disk, for which it waits behind others.
     pub message: Option<String>,
 }
 
@@ -355,6 +356,12 @@ impl From<Job> for RefinementBody {
     fn from(job: Job) -> Self {
         let progress = job.progress.unwrap_or_default();
         let has_steps = progress.step > 0;
+        // What an attempt failed by is no news of a job that ended well, or was ended, after that.
+        let tells_of_attempts = matches!(
+            job.state,
+            JobState::Waiting | JobState::Running | JobState::Failed
+        );
+        let last_attempt = job.lacks_room.or(job.failures.last().cloned());
         RefinementBody {
             state: job.state.code(),
             job: Some(job.id.to_string()),
@@ -366,10 +373,36 @@ impl From<Job> for RefinementBody {
             secs_left: progress
                 .secs_left
                 .filter(|_| job.state == JobState::Running),
-            message: job
-                .message
-                .or(job.lacks_room)
-                .or(job.failures.last().cloned()),
+            message: job.message.or(last_attempt.filter(|_| tells_of_attempts)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refinement_that_is_done_says_nothing_of_attempts_that_failed() {
+        use JobState::{Cancelled, Done, Failed, Running, Superseded, Waiting};
+        let message_in = |state| {
+            let job = Job {
+                id: format!("{:064x}", 1).parse().unwrap(),
+                scan: "a".to_owned(),
+                submitted_unix_ms: 1,
+                state,
+                failures: vec!["exit code 1".to_owned()],
+                message: None,
+                lacks_room: None,
+                progress: None,
+            };
+            RefinementBody::from(job).message
+        };
+        for state in [Waiting, Running, Failed] {
+            assert_eq!(message_in(state).as_deref(), Some("exit code 1"));
+        }
+        for state in [Done, Cancelled, Superseded] {
+            assert_eq!(message_in(state), None, "{state:?}");
         }
     }
 }
