@@ -173,7 +173,28 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
     let [x, y, z] = device.light.position_m.unwrap();
     assert!((x - 0.052).hypot(y).hypot(z - 0.004) < 0.006, "{x} {y} {z}");
     assert!(device.flat_field.is_some() && device.gamma == Some(gamma));
+    // A folder stands where the page is to be: what was found is told, and that it failed, once.
+    let output = Command::new(PROGRAM)
+        .args(["calibrate", "light", "--dry-run", "--json"])
+        .args([&sphere, &wall])
+        .args([Path::new("--calibration-dir"), &folder])
+        .args([Path::new("--page"), &folder])
+        .output()
+        .unwrap();
+    assert_says(&output, 1, &["calibration"]);
+    let told: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(told["status"], "failed");
+    assert_eq!(told["failures"].as_array().unwrap().len(), 1);
+    assert!(told["gamma"]["value"].is_number(), "{told}");
     let elsewhere = root.path().join("elsewhere");
+    // Nothing is measured before there is a folder for the page.
+    let output = Command::new(PROGRAM)
+        .args(["calibrate", "light", "--page"])
+        .args([&elsewhere.join("page.html"), &wall])
+        .output()
+        .unwrap();
+    let place = format!("--page: {} is no folder", elsewhere.display());
+    assert_says(&output, 2, &[&place]);
     let walls_only = calibrate("response", &[&wall], &elsewhere);
     assert_says(&walls_only, 1, &["no session shows a sphere"]);
     let a_ball_is_expected = Command::new(PROGRAM)

@@ -9,12 +9,12 @@ use relief::{
 use serde_json::json;
 use std::{collections::BTreeMap, io::Write};
 
-/// Prints what was found as one JSON object.
+/// Prints what was found, and what of it could not be written, as one JSON object.
 ///
 /// # Errors
 /// If it cannot be printed.
-pub fn print_json(findings: &Findings) -> anyhow::Result<()> {
-    let object = serde_json::to_string(&machine_readable(findings))?;
+pub fn print_json(findings: &Findings, failures: &[String]) -> anyhow::Result<()> {
+    let object = serde_json::to_string(&machine_readable(findings, failures))?;
     writeln!(Stdout, "{object}")?;
     Ok(())
 }
@@ -55,7 +55,7 @@ pub fn print_text(findings: &Findings) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn machine_readable(findings: &Findings) -> serde_json::Value {
+fn machine_readable(findings: &Findings, failures: &[String]) -> serde_json::Value {
     let measured = |m: &Measured| json!({"value": m.value, "half_interval_95": m.half_width()});
     let estimate = &findings.estimate;
     let (gamma, _) = findings.independent_gamma();
@@ -88,8 +88,13 @@ fn machine_readable(findings: &Findings) -> serde_json::Value {
             (findings.scans[*index].name.as_str(), value)
         })
         .collect();
+    let status = match failures {
+        [] => "complete",
+        _ => "failed",
+    };
     json!({
-        "status": "complete",
+        "status": status,
+        "failures": failures,
         "gamma": measured(&estimate.gamma()),
         "gamma_of_spheres_alone": findings.spheres_alone.as_ref().map(|e| measured(&e.gamma())),
         "light_position_m": estimate.light_position().iter().map(measured).collect::<Vec<_>>(),

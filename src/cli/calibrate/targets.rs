@@ -8,7 +8,10 @@ use super::{
     page::write_page,
     print::{print_json, print_text},
 };
-use crate::cli::run::{Verdict, calibration_folder, session_name};
+use crate::cli::{
+    run::{Verdict, calibration_folder, require_folder, session_name},
+    summary::with_causes,
+};
 use anyhow::{Context, bail, ensure};
 use depth_camera::CameraInfo;
 use nalgebra::Point3;
@@ -80,19 +83,24 @@ const LOBE_SIGMA: f64 = 1.5;
 struct Device {
     info: CameraInfo,
     serial: String,
+    /// Where what is measured of it goes.
+    file: PathBuf,
     /// The calibration that it has so far.
     found: FoundCalibration,
 }
 
 /// Runs a command.
 pub fn calibrate(aim: Aim, args: &TargetArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
-    let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
+    let of_page = args.page.as_deref().and_then(Path::parent);
+    // A bare name is of the working directory.
+    if let Some(of_page) = of_page.filter(|folder| *folder != Path::new("")) {
+        require_folder("--page", of_page)?;
+    }
     let config = Config::layered(None, &Overrides::default())?;
-    let device = device(args, &config, &folder)?;
-    let path = calibration_path(&folder, &device.serial)?;
+    let device = device(args, &config)?;
     if !args.file.dry_run {
         let nothing = DeviceCalibration::new(device.serial.clone(), device.info.sensor);
-        check_beforehand(&path, &nothing, aim.keys(), args.file.replace)?;
+        check_beforehand(&device.file, &nothing, aim.keys(), args.file.replace)?;
     }
     let found = &device.found;
     let scans = gather(args, &config, &device, stop)?;
@@ -111,40 +119,35 @@ pub fn calibrate(aim: Aim, args: &TargetArgs, stop: &AtomicBool) -> anyhow::Resu
     let priors = priors(aim, args, &device.info, found)?;
     let findings = investigate(aim, scans, &sensor, priors, found, stop)?;
     check_wanted(stop)?;
-    let page = args
-        .page
-        .clone()
-        .unwrap_or_else(|| folder.join(format!("{}.{}.html", device.serial, aim.name())));
-    let written = match args.file.dry_run {
-        true => Ok(None),
-        false => write(&path, &findings, &device, args).map(Some),
-    };
     // What cannot be printed is written all the same, and what cannot be written is printed.
-    let printed = match args.json {
-        true => print_json(&findings),
-        false => print_text(&findings),
-    };
-    if let Some(report) = written? {
-        if let Some(kept) = &report.kept {
-            tracing::info!(kept = %kept.display(), "the file as it was is kept");
-        }
-        tracing::info!(path = %path.display(), "calibration written");
+    let written = write_all(&findings, &sensor, &device, args);
+    if args.json {
+        let failure = written.as_ref().err().map(with_causes);
+        print_json(&findings, failure.as_slice())?;
+        // The object tells of it, and no other follows.
+        return Ok(written.map_or_else(
+            |error| {
+                tracing::error!("{}", with_causes(&error));
+                Verdict::of_error(&error)
+            },
+            |()| Verdict::Done,
+        ));
     }
-    if !args.file.dry_run || args.page.is_some() {
-        write_page(&page, &findings, &device.serial, &sensor)?;
-        tracing::info!(page = %page.display(), "page written");
-    }
+    let printed = print_text(&findings);
+    written?;
     printed?;
     Ok(Verdict::Done)
 }
 
 /// The device that the first session is of.
-fn device(args: &TargetArgs, config: &Config, folder: &Path) -> anyhow::Result<Device> {
+fn device(args: &TargetArgs, config: &Config) -> anyhow::Result<Device> {
+    let folder = calibration_folder(args.file.calibration_dir.as_deref(), None);
     let first = args.sessions.first().context("no session is given")?;
     let info = open(first, config)?.info().clone();
     let serial = args.file.serial.as_ref().unwrap_or(&info.serial).clone();
-    let found = find(&info, &serial, args, folder)?;
+    let found = find(&info, &serial, args, &folder)?;
     Ok(Device {
+        file: calibration_path(&folder, &serial)?,
         info,
         serial,
         found,
@@ -362,9 +365,35 @@ fn fitted_priors(fitted: &Estimate) -> Priors {
     }
 }
 
+/// Writes the device's file and the page, as far as they are asked for.
+fn write_all(
+    findings: &Findings,
+    sensor: &Sensor,
+    of: &Device,
+    args: &TargetArgs,
+) -> anyhow::Result<()> {
+    if !args.file.dry_run {
+        let report = write(findings, of, args)?;
+        if let Some(kept) = &report.kept {
+            tracing::info!(kept = %kept.display(), "the file as it was is kept");
+        }
+        tracing::info!(path = %of.file.display(), "calibration written");
+    }
+    let page = match &args.page {
+        Some(page) => page.clone(),
+        None if args.file.dry_run => return Ok(()),
+        None => {
+            let name = format!("{}.{}.html", of.serial, findings.aim.name());
+            of.file.with_file_name(name)
+        }
+    };
+    write_page(&page, findings, &of.serial, sensor)?;
+    tracing::info!(page = %page.display(), "page written");
+    Ok(())
+}
+
 /// Merges what the command is for into the device's file.
 fn write(
-    path: &Path,
     findings: &Findings,
     of: &Device,
     args: &TargetArgs,
@@ -399,7 +428,7 @@ fn write(
         let measurement = Measurement::new(time, measured_sessions.clone(), figures);
         device.measured.insert(key, measurement);
     }
-    merge(path, &device, &of.info, args.file.replace)
+    merge(&of.file, &device, &of.info, args.file.replace)
 }
 
 #[cfg(test)]
