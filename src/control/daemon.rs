@@ -111,6 +111,7 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         data_dir: data.root().to_owned(),
         program: setup.program,
         calibration_dir: settings.calibration_dir().to_owned(),
+        n_threads: settings.n_threads(),
         params: settings.config().worker,
         settings: settings.of_refinement(),
     })?;

@@ -86,6 +86,7 @@ mod tests {
             data_dir: data.root().to_owned(),
             program,
             calibration_dir: root.to_owned(),
+            n_threads: NonZeroUsize::MIN,
             params: WorkerParams::default(),
             settings: String::new(),
         });

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use std::{
     ffi::OsString,
     io::{self, BufRead, BufReader, Read},
+    num::NonZeroUsize,
     os::unix::process::{CommandExt, ExitStatusExt},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
@@ -53,6 +54,8 @@ pub struct Attempt<'a> {
     pub settings: PathBuf,
     /// Where calibrations named by serial number lie, for a scan without one.
     pub calibration_dir: &'a Path,
+    /// Threads of its pool.
+    pub n_threads: NonZeroUsize,
     /// Its limits.
     pub limits: Limits,
     /// How long it may take to end when it is told to.
@@ -137,6 +140,8 @@ fn arguments(attempt: &Attempt) -> Vec<OsString> {
         "--config-alone".into(),
         "--calibration-dir".into(),
         attempt.calibration_dir.into(),
+        "--threads".into(),
+        attempt.n_threads.to_string().into(),
         "--progress-json".into(),
     ];
     // What the scan was made with, and its job is named by; a file of the device may be newer.

@@ -142,6 +142,7 @@ impl Shared {
                 out: out.ok_or_else(|| io::Error::other("the job has no output folder"))?,
                 settings: spool.settings_file(record),
                 calibration_dir: &setup.calibration_dir,
+                n_threads: setup.n_threads,
                 limits: Limits::of_child(&setup.params),
                 grace: Duration::from_secs_f64(setup.params.grace_secs),
                 max_idle: Duration::from_secs_f64(setup.params.max_idle_secs),

@@ -12,12 +12,15 @@ use super::{
 use std::{
     collections::BTreeMap,
     fs,
+    num::NonZeroUsize,
     os::unix::fs::PermissionsExt,
     path::{Path, PathBuf},
     thread,
     time::{Duration, Instant},
 };
 
+/// As the daemon is told.
+const N_THREADS: NonZeroUsize = NonZeroUsize::new(3).unwrap();
 /// Generous: a busy machine is no fault.
 const GRACE: Duration = Duration::from_secs(60);
 
@@ -69,6 +72,7 @@ impl Workbench {
             data_dir: self.root.path().to_owned(),
             program: self.path("child"),
             calibration_dir: self.path("calibration"),
+            n_threads: N_THREADS,
             params,
             settings: "x = 1".to_owned(),
         })
@@ -254,7 +258,7 @@ fn a_scan_is_refined_with_its_own_calibration_where_it_has_one() {
 }
 
 #[test]
-fn a_child_is_given_the_settings_of_its_job_and_is_to_take_no_others() {
+fn a_child_is_given_the_settings_of_its_job_and_the_daemon_s_threads_and_no_others() {
     let bench = Workbench::new(&format!("echo \"$@\" > $here/arguments\n{REFINE}"));
     let worker = bench.worker();
     let job = worker.submit(&bench.scan).unwrap();
@@ -265,6 +269,7 @@ fn a_child_is_given_the_settings_of_its_job_and_is_to_take_no_others() {
     let given = format!("--config {}/", settings.display());
     assert!(arguments.contains(&given), "{arguments}");
     assert!(arguments.contains(" --config-alone "), "{arguments}");
+    assert!(arguments.contains(" --threads 3 "), "{arguments}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use super::{
 use crate::{lock::lock, pipeline::REFINED_PLY};
 use handover::Bell;
 use std::{
+    num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::{Arc, Mutex},
     thread::{self, JoinHandle},
@@ -23,6 +24,8 @@ pub struct WorkerSetup {
     pub program: PathBuf,
     /// Where calibrations named by serial number lie, for scans that hold none.
     pub calibration_dir: PathBuf,
+    /// Threads of the child's pool.
+    pub n_threads: NonZeroUsize,
     /// Priority, limits, retries; must have been validated.
     pub params: WorkerParams,
     /// What refinements are made with as TOML, given to the child and part of a job's name.

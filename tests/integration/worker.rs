@@ -3,6 +3,7 @@
 use crate::support::{PROGRAM, assert_says, fused_demo, poll};
 use relief::{
     config::Config,
+    control::all_processors,
     export::read_ply,
     jobs::{JobState, Turns, Worker, WorkerHandle, WorkerParams, WorkerSetup},
 };
@@ -41,6 +42,7 @@ fn worker(data_dir: &Path, params: WorkerParams, edge_length_m: f64) -> WorkerHa
         data_dir: data_dir.to_owned(),
         program: PROGRAM.into(),
         calibration_dir: data_dir.join("calibration"),
+        n_threads: all_processors(),
         params,
         settings: settings(edge_length_m),
     })
