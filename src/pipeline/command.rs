@@ -121,10 +121,13 @@ impl CommandDesk {
         }
         let next = asked.after(command, status)?;
         match self.channel.try_send(command) {
-            Ok(()) => *asked = next,
+            Ok(()) => {}
+            // The device thread ends the stream: who obeys has nothing to do for it.
+            Err(TrySendError::Full(_)) if next.is_ending => {}
             Err(TrySendError::Full(_)) => return Err(CommandRefused::Busy),
             Err(TrySendError::Disconnected(_)) => return while_ending(command),
         }
+        *asked = next;
         Ok(())
     }
 }
@@ -203,6 +206,23 @@ mod tests {
                 watch.command(Command::Abandon).unwrap();
             }
             assert!(watch.stop.is_stopped(), "{phase:?}");
+        }
+    }
+
+    #[test]
+    fn a_scan_ends_however_many_commands_wait() {
+        for ending in [Command::Finish, Command::Abandon] {
+            // Nobody takes commands out, as while frames are taken back.
+            let (channel, commands) = edges::commands();
+            let desk = CommandDesk::new(channel);
+            let status = Status::default();
+            while desk.ask(Command::Reset, &status).is_ok() {}
+            let refused = desk.ask(Command::Reset, &status);
+            assert_eq!(refused, Err(CommandRefused::Busy));
+            assert_eq!(desk.ask(ending, &status), Ok(()));
+            let refused = desk.ask(Command::Reset, &status);
+            assert_eq!(refused, Err(CommandRefused::Ending));
+            assert!(commands.try_iter().all(|command| command == Command::Reset));
         }
     }
 
