@@ -204,9 +204,11 @@ fn check(app: &App, request: &Request) -> Result<(), Problem> {
     }
 }
 
+/// What is told of a handler that takes too long. Not 408: that is a client's own delay, after which browsers send a command again by
+/// themselves, though the first may still be obeyed.
 fn timed_out() -> Problem {
     Problem::new(
-        StatusCode::REQUEST_TIMEOUT,
+        StatusCode::SERVICE_UNAVAILABLE,
         "timed_out",
         format!("no answer within {PATIENCE:?}"),
     )
@@ -285,6 +287,12 @@ mod tests {
         }
         let code = code_of("evil.example:8047", "https://evil.example:8047");
         assert_eq!(code, Some(StatusCode::MISDIRECTED_REQUEST));
+    }
+
+    #[test]
+    fn a_slow_answer_does_not_ask_for_the_command_again() {
+        let status = timed_out().into_response().status();
+        assert_eq!(status, StatusCode::SERVICE_UNAVAILABLE);
     }
 
     #[test]
