@@ -6,6 +6,7 @@ use super::{
     http::{Acceptor, Access, App, router},
     listen::{ListenError, Protection, listen},
     observer::Observer,
+    sessions,
     settings::{Settings, SettingsPlaces},
     signals::{self, Ask, DaemonSignals},
     supervisor::Supervisor,
@@ -96,6 +97,9 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         Some(root) => DataFolder::open(&root)?,
         None => DataFolder::open(&DataFolder::conventional()?)?,
     };
+    if let Err(error) = sessions::sweep(&data) {
+        tracing::warn!(%error, "what is left of removed scans was not looked for");
+    }
     let abandoned = abandoned_recordings(&data.sessions());
     // A camera that makes no sense is told of now, not at the first scan.
     setup.source.check()?;

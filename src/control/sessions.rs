@@ -25,6 +25,9 @@ pub struct SessionFile {
     pub media_type: &'static str,
 }
 
+/// The name of a scan's folder that is being removed begins so, which no scan's own name does.
+const REMOVING: &str = ".removing-";
+
 const PLY: &str = "application/octet-stream";
 
 /// All that clients may have of a scan.
@@ -72,7 +75,7 @@ pub struct SessionBody {
     pub started_unix_ms: u64,
     /// When it ended.
     pub ended_unix_ms: Option<u64>,
-    /// `scanning`, `complete`, `failed`, `interrupted` if the daemon ended before it, or `damaged` if its record cannot be read.
+    /// `scanning`, `complete`, `failed`, `interrupted` if the daemon ended before it, or `damaged` if its record is not there or cannot be read.
     pub state: &'static str,
     /// What went wrong.
     pub failures: Vec<String>,
@@ -118,7 +121,6 @@ pub fn read(
     let folder = existing(data, id)?;
     let (state, record) = match ScanRecord::read(&folder) {
         Ok(record) => (state(&record, running), record),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(error),
         Err(error) => ("damaged", ScanRecord::unreadable(id.clone(), &error)),
     };
     Ok(SessionBody {
@@ -155,12 +157,37 @@ pub fn file(data: &DataFolder, id: &SessionId, name: &str) -> io::Result<(Sessio
     }
 }
 
-/// Removes a scan and all that belongs to it.
+/// Removes a scan and all that belongs to it. It is none at once, and whole until then; where the removal is cut off, [`sweep`] ends it.
 ///
 /// # Errors
 /// If there is no such scan, or the system refuses.
 pub fn remove(data: &DataFolder, id: &SessionId) -> io::Result<()> {
-    fs::remove_dir_all(existing(data, id)?)
+    let folder = existing(data, id)?;
+    let aside = data.sessions().join(format!("{REMOVING}{id}"));
+    // One of that name was removed before, and came back.
+    match fs::remove_dir_all(&aside) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    fs::rename(folder, &aside)?;
+    fs::remove_dir_all(aside)
+}
+
+/// Removes what is left of scans whose removal was cut off.
+///
+/// # Errors
+/// If it cannot be seen what is left; what cannot be removed is warned of.
+pub fn sweep(data: &DataFolder) -> io::Result<()> {
+    for entry in fs::read_dir(data.sessions())? {
+        let entry = entry?;
+        if entry.file_name().to_string_lossy().starts_with(REMOVING)
+            && let Err(error) = fs::remove_dir_all(entry.path())
+        {
+            let path = entry.path();
+            tracing::warn!(path = %path.display(), %error, "what is left of a scan stays");
+        }
+    }
+    Ok(())
 }
 
 impl SessionFile {
@@ -251,6 +278,8 @@ mod tests {
         let path = folder.join("scan.json").display().to_string();
         assert!(damaged.failures[0].contains(&path), "{damaged:?}");
         assert_eq!(list(&data, None).unwrap(), [damaged]);
+        fs::remove_file(folder.join("scan.json")).unwrap();
+        assert_eq!(list(&data, None).unwrap()[0].state, "damaged");
 
         assert!(file(&data, &id, "base.ply").is_ok());
         for name in ["report.json", "scan.json", "../base.ply", "refined.ply"] {
@@ -260,5 +289,23 @@ mod tests {
         remove(&data, &id).unwrap();
         assert!(list(&data, None).unwrap().is_empty());
         assert!(remove(&data, &id).is_err());
+    }
+
+    #[test]
+    fn a_removal_that_was_cut_off_is_ended_by_the_next_one_or_at_the_start() {
+        let root = tempfile::tempdir().unwrap();
+        let data = DataFolder::open(root.path()).unwrap();
+        let id = SessionId::generate();
+        let left = data.sessions().join(format!(".removing-{id}"));
+        let removals: [fn(&DataFolder, &SessionId) -> io::Result<()>; 2] =
+            [remove, |data, _| sweep(data)];
+        for (n_left, removed) in removals.into_iter().enumerate() {
+            fs::create_dir_all(left.join("recording")).unwrap();
+            fs::write(left.join("recording/0.mcap"), "frames").unwrap();
+            fs::create_dir(data.session(&id)).unwrap();
+            removed(&data, &id).unwrap();
+            assert!(!left.exists());
+            assert_eq!(list(&data, None).unwrap().len(), n_left);
+        }
     }
 }
