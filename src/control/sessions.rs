@@ -123,10 +123,14 @@ pub fn read(
         Ok(record) => (state(&record, running), record),
         Err(error) => ("damaged", ScanRecord::unreadable(id.clone(), &error)),
     };
+    let bytes = match folder_bytes(&folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(error),
+        bytes => bytes.unwrap_or_default(),
+    };
     Ok(SessionBody {
         state,
         files: FILES.iter().filter_map(|file| file.body(&folder)).collect(),
-        bytes: folder_bytes(&folder)?,
+        bytes,
         id: record.id.into(),
         label: record.label,
         interim_of: record.interim_of.map(String::from),
@@ -218,7 +222,8 @@ fn state(record: &ScanRecord, running: Option<&SessionId>) -> &'static str {
     }
 }
 
-/// Bytes of all files in a folder and the folders in it; links are not followed.
+/// Bytes of all files in a folder and the folders in it; links are not followed, and what goes meanwhile or cannot be read within it
+/// counts for nothing.
 fn folder_bytes(folder: &Path) -> io::Result<u64> {
     let mut bytes = 0;
     for entry in fs::read_dir(folder)? {
@@ -228,7 +233,7 @@ fn folder_bytes(folder: &Path) -> io::Result<u64> {
             continue;
         };
         bytes += match metadata.is_dir() {
-            true => folder_bytes(&entry.path())?,
+            true => folder_bytes(&entry.path()).unwrap_or_default(),
             false => metadata.len(),
         };
     }
@@ -238,6 +243,7 @@ fn folder_bytes(folder: &Path) -> io::Result<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustix::fs::{Mode, OFlags, mkdirat, openat};
     use std::os::unix::fs::symlink;
 
     fn device() -> DeviceName {
@@ -289,6 +295,28 @@ mod tests {
         remove(&data, &id).unwrap();
         assert!(list(&data, None).unwrap().is_empty());
         assert!(remove(&data, &id).is_err());
+    }
+
+    #[test]
+    fn a_scan_is_listed_though_a_folder_in_it_cannot_be_read() {
+        let root = tempfile::tempdir().unwrap();
+        let data = DataFolder::open(root.path()).unwrap();
+        let id = SessionId::generate();
+        let folder = data.session(&id);
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("base.ply"), "12345").unwrap();
+        // Folders so deep that their names together are longer than a path may be, whoever reads it.
+        let mut inner = fs::File::open(&folder).unwrap();
+        for _ in 0..20 {
+            let name = "x".repeat(250);
+            mkdirat(&inner, &name, Mode::RWXU).unwrap();
+            inner = openat(&inner, &name, OFlags::DIRECTORY, Mode::empty())
+                .unwrap()
+                .into();
+        }
+        assert_eq!(list(&data, None).unwrap()[0].bytes, 5);
+        remove(&data, &id).unwrap();
+        assert!(list(&data, None).unwrap().is_empty());
     }
 
     #[test]
