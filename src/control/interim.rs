@@ -52,7 +52,7 @@ pub fn cancel_waiting(supervisor: &Supervisor, of: &SessionId, newer: &Job) {
             .scan
             .parse()
             .ok()
-            .and_then(|id| ScanRecord::read(&supervisor.data.session(&id)).ok());
+            .and_then(|id| ScanRecord::read(&supervisor.data.session(&id), &id).ok());
         let is_of_scan = record.is_some_and(|record| record.interim_of.as_ref() == Some(of));
         if is_of_scan && job.state == JobState::Waiting {
             // What the disk refuses is refined as well.

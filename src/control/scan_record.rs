@@ -77,13 +77,22 @@ impl ScanRecord {
         })
     }
 
-    /// Reads it from a scan's folder.
+    /// Reads it from the folder of the scan of that name.
     ///
     /// # Errors
-    /// If it is not there, or is not one, naming it.
-    pub fn read(folder: &Path) -> io::Result<Self> {
+    /// If it is not there, is not one, or is of another scan, naming it.
+    pub fn read(folder: &Path, id: &SessionId) -> io::Result<Self> {
         let path = folder.join(NAME);
-        let read = || -> io::Result<Self> { Ok(serde_json::from_slice(&fs::read(&path)?)?) };
+        let read = || -> io::Result<Self> {
+            let record: Self = serde_json::from_slice(&fs::read(&path)?)?;
+            match record.id == *id {
+                true => Ok(record),
+                false => Err(io::Error::other(format!(
+                    "it is of scan {}, and not of {id}",
+                    record.id
+                ))),
+            }
+        };
         read().map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", path.display())))
     }
 

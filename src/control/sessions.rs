@@ -75,7 +75,8 @@ pub struct SessionBody {
     pub started_unix_ms: u64,
     /// When it ended.
     pub ended_unix_ms: Option<u64>,
-    /// `scanning`, `complete`, `failed`, `interrupted` if the daemon ended before it, or `damaged` if its record is not there or cannot be read.
+    /// `scanning`, `complete`, `failed`, `interrupted` if the daemon ended before it, or `damaged` if its record is not there, cannot
+    /// be read, or is of another scan.
     pub state: &'static str,
     /// What went wrong.
     pub failures: Vec<String>,
@@ -119,7 +120,7 @@ pub fn read(
     running: Option<&SessionId>,
 ) -> io::Result<SessionBody> {
     let folder = existing(data, id)?;
-    let (state, record) = match ScanRecord::read(&folder) {
+    let (state, record) = match ScanRecord::read(&folder, id) {
         Ok(record) => (state(&record, running), record),
         Err(error) => ("damaged", ScanRecord::unreadable(id.clone(), &error)),
     };
@@ -284,6 +285,19 @@ mod tests {
         let path = folder.join("scan.json").display().to_string();
         assert!(damaged.failures[0].contains(&path), "{damaged:?}");
         assert_eq!(list(&data, None).unwrap(), [damaged]);
+        // A folder that was copied is no second scan of the first one's name.
+        record.write(&folder).unwrap();
+        let copy = "20000101T000000Z-0000".parse::<SessionId>().unwrap();
+        fs::rename(&folder, data.session(&copy)).unwrap();
+        let copied = list(&data, None).unwrap().remove(0);
+        assert_eq!(
+            (copied.id.as_str(), copied.state),
+            (copy.as_str(), "damaged")
+        );
+        for name in [id.as_str(), copy.as_str()] {
+            assert!(copied.failures[0].contains(name), "{copied:?}");
+        }
+        fs::rename(data.session(&copy), &folder).unwrap();
         fs::remove_file(folder.join("scan.json")).unwrap();
         assert_eq!(list(&data, None).unwrap()[0].state, "damaged");
 
