@@ -98,7 +98,7 @@ pub fn run(setup: DaemonSetup) -> Result<(), DaemonError> {
         None => DataFolder::open(&DataFolder::conventional()?)?,
     };
     if let Err(error) = sessions::sweep(&data) {
-        tracing::warn!(%error, "what is left of removed scans was not looked for");
+        tracing::warn!(%error, "what is left of scans was not looked for");
     }
     let abandoned = abandoned_recordings(&data.sessions());
     // A camera that makes no sense is told of now, not at the first scan.

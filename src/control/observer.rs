@@ -135,23 +135,22 @@ impl Observer {
     }
 
     fn follow_scan(&mut self, supervisor: &Arc<Supervisor>) {
-        let Some(scan) = supervisor.scan() else {
-            if let Some(mut ended) = self.scan.take() {
-                // Its last events came after the last look.
-                ended.tell_events(supervisor);
-            }
+        let scan = supervisor.scan();
+        let is_over =
+            |known: &mut ObservedScan| scan.as_ref().is_none_or(|scan| !known.is_of(scan));
+        if let Some(mut ended) = self.scan.take_if(is_over) {
+            // Its last events, and what was last written down on the way, came after the last look.
+            ended.tell_events(supervisor);
+            ended.refine_interim(supervisor);
+        }
+        let Some(scan) = scan else {
             return;
         };
-        let is_known = self.scan.as_ref().is_some_and(|known| known.is_of(&scan));
-        if !is_known {
-            self.scan = Some(ObservedScan::new(scan));
-        }
-        if let Some(observed) = &mut self.scan {
-            observed.tell_events(supervisor);
-            observed.tell_device(supervisor);
-            observed.refine_interim(supervisor);
-            observed.check_accounts();
-        }
+        let observed = self.scan.get_or_insert_with(|| ObservedScan::new(scan));
+        observed.tell_events(supervisor);
+        observed.tell_device(supervisor);
+        observed.refine_interim(supervisor);
+        observed.check_accounts();
     }
 }
 

@@ -6,7 +6,7 @@ use super::{
     scan_record::ScanRecord,
 };
 use crate::pipeline::{
-    BASE_PLY, EVENTS_FILE, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
+    BASE_PLY, EVENTS_FILE, INTERIM, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, TRAJECTORY,
 };
 use serde::Serialize;
 use serde_json::Value;
@@ -99,11 +99,7 @@ pub struct FileBody {
 
 /// The scans, the newest first; `running` is the one that goes on.
 pub fn list(data: &DataFolder, running: Option<&SessionId>) -> io::Result<Vec<SessionBody>> {
-    let mut ids: Vec<SessionId> = Vec::new();
-    for entry in fs::read_dir(data.sessions())? {
-        let name = entry?.file_name();
-        ids.extend(name.to_str().and_then(|name| name.parse().ok()));
-    }
+    let mut ids = ids(data)?;
     ids.sort_unstable_by(|a, b| b.cmp(a));
     // A folder that goes while it is looked at is none.
     let sessions = ids.iter().filter_map(|id| read(data, id, running).ok());
@@ -178,14 +174,31 @@ pub fn remove(data: &DataFolder, id: &SessionId) -> io::Result<()> {
     fs::remove_dir_all(aside)
 }
 
-/// Removes what is left of scans whose removal was cut off.
+/// Removes what is left of scans whose removal was cut off, and what scans that have ended wrote down on the way and nobody took. To be
+/// called before a scan begins.
 ///
 /// # Errors
 /// If it cannot be seen what is left; what cannot be removed is warned of.
 pub fn sweep(data: &DataFolder) -> io::Result<()> {
-    for entry in fs::read_dir(data.sessions())? {
+    remove_begun_with(REMOVING, &data.sessions())?;
+    for id in ids(data)? {
+        let Ok(folder) = existing(data, &id) else {
+            continue;
+        };
+        let record = ScanRecord::read(&folder, &id);
+        // Of a scan that was interrupted it may be all that there is.
+        if record.is_ok_and(|record| record.ended_unix_ms.is_some()) {
+            remove_begun_with(INTERIM, &folder)?;
+        }
+    }
+    Ok(())
+}
+
+/// Removes the folders in a folder whose names begin so.
+fn remove_begun_with(beginning: &str, folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        if entry.file_name().to_string_lossy().starts_with(REMOVING)
+        if entry.file_name().to_string_lossy().starts_with(beginning)
             && let Err(error) = fs::remove_dir_all(entry.path())
         {
             let path = entry.path();
@@ -193,6 +206,16 @@ pub fn sweep(data: &DataFolder) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The names of all scans, in no order.
+fn ids(data: &DataFolder) -> io::Result<Vec<SessionId>> {
+    let mut ids = Vec::new();
+    for entry in fs::read_dir(data.sessions())? {
+        let name = entry?.file_name();
+        ids.extend(name.to_str().and_then(|name| name.parse().ok()));
+    }
+    Ok(ids)
 }
 
 impl SessionFile {
@@ -309,6 +332,24 @@ mod tests {
         remove(&data, &id).unwrap();
         assert!(list(&data, None).unwrap().is_empty());
         assert!(remove(&data, &id).is_err());
+    }
+
+    #[test]
+    fn what_a_scan_that_ended_wrote_on_the_way_and_nobody_took_goes_at_the_start() {
+        let root = tempfile::tempdir().unwrap();
+        let data = DataFolder::open(root.path()).unwrap();
+        for has_ended in [false, true] {
+            let record = ScanRecord::started(SessionId::generate(), None, device());
+            let folder = data.session(&record.id);
+            let interim = folder.join("interim-001");
+            fs::create_dir_all(&interim).unwrap();
+            match has_ended {
+                true => record.ended(Vec::new()).write(&folder).unwrap(),
+                false => record.write(&folder).unwrap(),
+            }
+            sweep(&data).unwrap();
+            assert_eq!(interim.exists(), !has_ended);
+        }
     }
 
     #[test]

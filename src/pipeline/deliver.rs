@@ -36,6 +36,8 @@ pub const REFINED_GLB: &str = "refined.glb";
 pub const TRAJECTORY: &str = "trajectory.txt";
 /// The calibration that the scan was made with.
 pub const CALIBRATION: &str = Calibration::FILE_NAME;
+/// What was written down on the way lies in a folder whose name begins so, in that of the scan.
+pub const INTERIM: &str = "interim-";
 /// The report as a page.
 pub const REPORT_HTML: &str = "report.html";
 /// The report for programs.

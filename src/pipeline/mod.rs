@@ -53,7 +53,7 @@ pub use crate::{
 pub use accounts::FrameAccounts;
 pub use command::{Command, CommandRefused};
 pub use deliver::{
-    BASE_PLY, CALIBRATION, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, SCENE_PLY,
+    BASE_PLY, CALIBRATION, INTERIM, REFINED_GLB, REFINED_PLY, REPORT_HTML, REPORT_JSON, SCENE_PLY,
     TRAJECTORY,
 };
 pub use edges::WhenFull;

@@ -5,7 +5,7 @@ use crate::{
     capture::{Event, EventKind, Tracked},
     geometry::{Pose, TriMesh},
     pipeline::{
-        deliver::Outbox,
+        deliver::{INTERIM, Outbox},
         edges::TrackedSender,
         live::{InterimScan, Slot},
         threads::idle_pool,
@@ -68,7 +68,7 @@ impl InterimWriter {
         self.join();
         self.number += 1;
         let number = self.number;
-        let folder = self.folder.join(format!("interim-{number:03}"));
+        let folder = self.folder.join(format!("{INTERIM}{number:03}"));
         let (info, events) = (self.info.clone(), events.clone());
         let write = move || {
             // What would be done by many threads is done by the one that yields, too.
