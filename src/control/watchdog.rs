@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How long a device may give nothing while it says that it streams, and fusion may take for a frame.
+/// How long a device may give nothing while it says that it streams, once it does, and fusion may take for a frame.
 const CAPTURE_PATIENCE: Duration = Duration::from_secs(20);
 
 /// How long meshes and reports may take, and a step of improving a scan; the largest take a few minutes.
@@ -64,7 +64,9 @@ fn has_not_moved(old: &Progress, new: &Progress, status: &Status) -> bool {
         // The disk is waited for, for as long as it takes.
         return !status.waits_for_room();
     }
-    let device_hangs = new.produced == old.produced && status.device == DeviceHealth::Streaming;
+    // Until its first frame a device is not said to be silent; the device thread gives it up after `capture.max_silence_secs`.
+    let streams = new.produced > 0 && status.device == DeviceHealth::Streaming;
+    let device_hangs = new.produced == old.produced && streams;
     let fusion_hangs = new.handled == old.handled && status.frames.in_flight > 0;
     device_hangs || fusion_hangs
 }
@@ -109,6 +111,8 @@ mod tests {
         assert!(!has_not_moved(&progress(5, 4), &progress(6, 5), &busy));
         assert!(has_not_moved(&progress(5, 5), &progress(5, 5), &streaming));
         assert!(!has_not_moved(&progress(5, 5), &progress(5, 5), &gone));
+        // The first frame is awaited for as long as the configuration says.
+        assert!(!has_not_moved(&progress(0, 0), &progress(0, 0), &streaming));
         assert!(has_not_moved(&progress(5, 4), &progress(9, 4), &busy));
         let waiting = Status {
             phase: Phase::Exporting,
