@@ -18,6 +18,8 @@ use std::{
 
 /// How often the child and the orders are looked at.
 const POLL: Duration = Duration::from_millis(50);
+/// How long what a child said may take to be heard once it has ended. Arbitrary: a full pipe is read in moments.
+const LAST_WORDS: Duration = Duration::from_secs(5);
 /// Longer lines are no child's of ours.
 const MAX_LINE_BYTES: u64 = 1 << 20;
 /// Of what the child said last, so much is kept.
@@ -121,8 +123,8 @@ pub fn run(
         }
     }
     // Whoever holds the other end of a pipe is dead; the time limit is for who has left the group.
-    let summary = heard.summary.recv_timeout(attempt.grace).ok().flatten();
-    let last_words = heard.last_words.recv_timeout(attempt.grace);
+    let summary = heard.summary.recv_timeout(LAST_WORDS).ok().flatten();
+    let last_words = heard.last_words.recv_timeout(LAST_WORDS);
     Ok(verdict(status, summary, &last_words.unwrap_or_default()))
 }
 

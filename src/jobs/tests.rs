@@ -176,6 +176,19 @@ fn a_refinement_is_delivered_when_it_is_whole_and_touches_nothing_else() {
 }
 
 #[test]
+fn what_a_child_says_is_heard_though_it_would_be_killed_at_once() {
+    let bench = Workbench::new(&format!("head -c 3000000 /dev/zero\necho\n{REFINE}"));
+    let worker = bench.worker_with(WorkerParams {
+        grace_secs: 0.0,
+        ..WorkerParams::default()
+    });
+    let job = worker.submit(&bench.scan).unwrap();
+    let ended = end_of(&worker, &job.id);
+    assert_eq!((ended.state, ended.failures.len()), (JobState::Done, 0));
+    worker.stop();
+}
+
+#[test]
 fn a_child_that_is_killed_is_repeated_three_times() {
     let bench = Workbench::new("echo half > $out/refined.ply\necho about to die >&2\nkill -9 $$");
     let before = bench.contents();
