@@ -3,7 +3,7 @@
 use super::{Config, ConfigError, Origin, Overrides};
 use crate::refine::Crop;
 use serde::Deserialize;
-use std::{collections::BTreeMap, ops::Range, path::Path};
+use std::{collections::BTreeMap, ffi::OsString, ops::Range, path::Path};
 use toml::{
     Spanned, Table, Value,
     de::{DeString, DeTable, DeValue},
@@ -90,26 +90,33 @@ impl Layer {
     /// of the configuration's.
     ///
     /// # Errors
-    /// For an unknown key, and a value of another kind, naming the variable.
-    pub fn of_environment(variables: &[(String, String)]) -> Result<Self, ConfigError> {
+    /// For an unknown key, also one without the two underscores, and a value that is of another kind or no UTF-8, naming the variable.
+    pub fn of_environment(variables: &[(OsString, OsString)]) -> Result<Self, ConfigError> {
         let mut layer = Layer::default();
-        for (name, text) in variables {
+        for (name, value) in variables {
+            let name = name.to_string_lossy();
             let Some(path) = name.strip_prefix(PREFIX) else {
                 continue;
+            };
+            let origin = Origin::Environment(name.clone().into_owned());
+            let refused = |what| ConfigError {
+                origin: origin.to_string(),
+                what,
             };
             let lower = path.to_lowercase();
             let path: Vec<&str> = lower.split(SEPARATOR).collect();
             if path.len() < 2 {
-                continue;
+                match meant(&lower)? {
+                    Some(key) => return Err(refused(no_key(&key))),
+                    None => continue,
+                }
             }
-            let origin = Origin::Environment(name.clone());
+            let key = path.join(".");
+            let no_text = || refused(format!("{key}: {} is no UTF-8", value.display()));
+            let text = value.to_str().ok_or_else(no_text)?;
             let table = nested(&path, value_of(text));
             Config::deserialize(table.clone()).map_err(|error| {
-                let key = path.join(".");
-                ConfigError {
-                    origin: origin.to_string(),
-                    what: format!("{key}: {}", with_allowed(&key, error.message())),
-                }
+                refused(format!("{key}: {}", with_allowed(&key, error.message())))
             })?;
             layer.lay(Layer::of_one_origin(table, &origin));
         }
@@ -158,6 +165,38 @@ impl Layer {
         let origins = keys.into_iter().map(|key| (key, origin.clone())).collect();
         Layer { table, origins }
     }
+}
+
+/// The key that a variable's name without [`SEPARATOR`] is closest to, if it begins like the name of a table and can only be meant for
+/// one of its keys.
+fn meant(name: &str) -> Result<Option<String>, ConfigError> {
+    let defaults = Layer::defaults()?.table;
+    let is_of = |table: &String| {
+        name.strip_prefix(table)
+            .is_some_and(|rest| rest.starts_with('_'))
+    };
+    let Some(table) = defaults.keys().find(|table| is_of(table)) else {
+        return Ok(None);
+    };
+    let mut keys = Vec::new();
+    leaves(&defaults, "", &mut |key, _| keys.push(key));
+    let n_alike = |key: &String| {
+        let key = key.replace('.', "_");
+        let pairs = key.chars().zip(name.chars());
+        pairs
+            .take_while(|(of_key, of_name)| of_key == of_name)
+            .count()
+    };
+    let of_table = keys
+        .into_iter()
+        .filter(|key| key.starts_with(table.as_str()));
+    Ok(of_table.max_by_key(n_alike))
+}
+
+/// What is said of a variable that is meant for a key and names none.
+fn no_key(nearest: &str) -> String {
+    let variable = nearest.to_uppercase().replace('.', SEPARATOR);
+    format!("names no key; {PREFIX}{variable} sets {nearest}")
 }
 
 /// Calls back for every key that is no table, with the tables' names before it.

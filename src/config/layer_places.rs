@@ -2,7 +2,9 @@
 
 use super::ConfigError;
 use std::{
-    env, fs, io,
+    env,
+    ffi::OsString,
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -25,7 +27,7 @@ enum Source {
 pub struct LayerPlaces {
     sources: Vec<Source>,
     /// Variables and their values, by name.
-    pub(super) environment: Vec<(String, String)>,
+    pub(super) environment: Vec<(OsString, OsString)>,
 }
 
 impl LayerPlaces {
@@ -36,11 +38,8 @@ impl LayerPlaces {
         let of_home = || set("HOME").map(|home| PathBuf::from(home).join(".config"));
         let of_user = set("XDG_CONFIG_HOME").map(PathBuf::from).or_else(of_home);
         let root = set(ROOT_VARIABLE).map_or_else(|| PathBuf::from("/"), PathBuf::from);
-        let variables = env::vars_os().filter_map(|(name, value)| {
-            let name = name.into_string().ok()?;
-            Some((name, value.into_string().ok()?))
-        });
-        LayerPlaces::under(&root, of_user.as_deref(), given).with_environment(variables.collect())
+        let variables = env::vars_os().collect();
+        LayerPlaces::under(&root, of_user.as_deref(), given).with_environment(variables)
     }
 
     /// The files of a machine whose root is that folder, and the file given.
@@ -76,7 +75,7 @@ impl LayerPlaces {
     }
 
     /// With environment variables.
-    pub fn with_environment(self, mut environment: Vec<(String, String)>) -> Self {
+    pub fn with_environment(self, mut environment: Vec<(OsString, OsString)>) -> Self {
         environment.sort();
         LayerPlaces {
             environment,

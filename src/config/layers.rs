@@ -74,7 +74,7 @@ impl LayeredConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::{fs, path::Path};
+    use std::{ffi::OsString, fs, os::unix::ffi::OsStringExt, path::Path};
 
     /// A machine whose files are in a folder.
     struct Machine(tempfile::TempDir);
@@ -101,8 +101,8 @@ mod tests {
         }
     }
 
-    fn variables(pairs: &[(&str, &str)]) -> Vec<(String, String)> {
-        let pair = |&(name, value): &(&str, &str)| (name.to_owned(), value.to_owned());
+    fn variables(pairs: &[(&str, &str)]) -> Vec<(OsString, OsString)> {
+        let pair = |&(name, value): &(&str, &str)| (name.into(), value.into());
         pairs.iter().map(pair).collect()
     }
 
@@ -150,7 +150,11 @@ mod tests {
                 ("RELIEF_FUSION__VOXEL_SIZE_M", "0.005"),
                 ("RELIEF_FUSION__DEPTH_MAX_M", "3"),
                 ("RELIEF_OBJECT__CROP", "object"),
+                // None of the configuration's.
                 ("RELIEF_CONFIG_ROOT", "/nowhere"),
+                ("RELIEF_BENCH", "/nowhere"),
+                ("RELIEF_SCAN", "a"),
+                ("RELIEF_PAGE_URL", "http://127.0.0.1:8047"),
                 ("PATH", "/bin"),
             ]));
         let overrides = Overrides {
@@ -224,6 +228,21 @@ mod tests {
                 "environment variable RELIEF_FUSION__WHEELS: fusion.wheels: unknown field",
             ),
             (
+                "RELIEF_FUSION_VOXEL_SIZE_M",
+                "9",
+                "environment variable RELIEF_FUSION_VOXEL_SIZE_M: names no key; RELIEF_FUSION__VOXEL_SIZE_M sets fusion.voxel_size_m",
+            ),
+            (
+                "RELIEF_FUSION_ICP__ITERATIONS",
+                "9",
+                "environment variable RELIEF_FUSION_ICP__ITERATIONS: fusion_icp.iterations: unknown field",
+            ),
+            (
+                "RELIEF_FUSION_ICP_ITERATION",
+                "9",
+                "environment variable RELIEF_FUSION_ICP_ITERATION: names no key; RELIEF_FUSION__ICP__ITERATIONS sets",
+            ),
+            (
                 "RELIEF_CAPTURE__RECORD_FORMAT",
                 "3",
                 "environment variable RELIEF_CAPTURE__RECORD_FORMAT: capture.record_format: must be `mcap` or",
@@ -233,6 +252,13 @@ mod tests {
             let error = LayeredConfig::read(&places, &Overrides::default()).unwrap_err();
             assert!(error.to_string().starts_with(said), "{error}");
         }
+        let no_text = OsString::from_vec(vec![b'0', 0xff]);
+        let places = LayerPlaces::only(None)
+            .with_environment(vec![("RELIEF_FUSION__VOXEL_SIZE_M".into(), no_text)]);
+        let error = LayeredConfig::read(&places, &Overrides::default()).unwrap_err();
+        let error = error.to_string();
+        assert!(error.contains("RELIEF_FUSION__VOXEL_SIZE_M: "), "{error}");
+        assert!(error.ends_with("is no UTF-8"), "{error}");
         let missing = LayerPlaces::only(Some(Path::new("/nowhere/at/all.toml")));
         let error = LayeredConfig::read(&missing, &Overrides::default()).unwrap_err();
         assert!(
