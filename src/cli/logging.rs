@@ -3,7 +3,9 @@
 use clap::ValueEnum;
 use relief::control::Progress;
 use std::{
-    env, fmt, fs,
+    env,
+    ffi::OsString,
+    fmt, fs,
     io::{self, IsTerminal},
     os::unix::fs::MetadataExt,
 };
@@ -24,10 +26,18 @@ pub enum LogFormat {
     Json,
 }
 
+/// What is logged where nothing else is said.
+const DEFAULT: &str = "info";
+
 /// Sends log lines to standard error, at `info` unless `RUST_LOG` says otherwise. The journal stamps them with the time and is
 /// told their priority.
 pub fn log_to_stderr(log_format: LogFormat, progress: &Progress) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let said = env::var_os(EnvFilter::DEFAULT_ENV);
+    let filter = said.map_or_else(|| Ok(EnvFilter::new(DEFAULT)), filter_of);
+    let (filter, refused) = match filter {
+        Ok(filter) => (filter, None),
+        Err(refused) => (EnvFilter::new(DEFAULT), Some(refused)),
+    };
     let is_journal = is_journal();
     let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -46,6 +56,16 @@ pub fn log_to_stderr(log_format: LogFormat, progress: &Progress) {
         (LogFormat::Json, false) => lines.json().init(),
         (LogFormat::Json, true) => lines.json().without_time().init(),
     }
+    if let Some(refused) = refused {
+        tracing::warn!("{}: {refused}; logged is {DEFAULT}", EnvFilter::DEFAULT_ENV);
+    }
+}
+
+/// The filter that a text says, or what is wrong with that.
+fn filter_of(said: OsString) -> Result<EnvFilter, String> {
+    let told = |what: String| format!("{said:?}: {what}");
+    let text = said.to_str().ok_or_else(|| told("no UTF-8".to_owned()))?;
+    EnvFilter::try_new(text).map_err(|error| told(error.to_string()))
 }
 
 /// Whether standard error is the journal's, and not a file or pipe that somebody has put in its place.

@@ -59,6 +59,11 @@ fn the_program_says_who_set_what() {
     let shown = bench.write("shown.toml", &show(&[]));
     let output = relief(&["config", "check", shown.to_str().unwrap()]).output();
     assert!(printed(&output.unwrap()).contains("shown.toml: valid"));
+    // A level that there is none of is told of, and not taken for none.
+    let output = relief(&["config", "check", shown.to_str().unwrap()])
+        .env("RUST_LOG", "relief=loud")
+        .output();
+    assert_says(&output.unwrap(), 0, &["RUST_LOG: \"relief=loud\": "]);
 
     fs::write(&rig, "[fusion]\nvoxel_size_m = 4.0\n").unwrap();
     let output = relief(&["config", "check"])
