@@ -38,7 +38,6 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
         recorded,
         found,
     } = FoundScan::read(&args.scan)?;
-    let out = OutputFolder::claim(&args.out)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.scan.threads.unwrap_or_else(run::all_processors).get())
         .build()?;
@@ -48,6 +47,8 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
         let bounds = args.truth_box.map(|bounds| [bounds.0.min, bounds.0.max]);
         Truth::new(mesh, bounds)
     });
+    // What cannot be read leaves no folder behind.
+    let out = OutputFolder::claim(&args.out)?;
     let report =
         pool.install(|| scan.evaluate(args, truth.as_ref(), &found.calibration, &config.refine))?;
     write_evaluation(out.path(), &report)?;

@@ -31,6 +31,11 @@ fn a_scan_is_evaluated_with_all_ablations_against_a_truth_and_refined_from_one_v
 
     let evaluation = bench.path("evaluation");
     let out = evaluation.to_str().unwrap();
+    let no_mesh = [
+        "evaluate", "--config", config, "--out", out, "--truth", config,
+    ];
+    assert_says(&relief(&no_mesh, &[&scan]), 1, &["coarse.toml"]);
+    assert!(!evaluation.exists());
     let fixed = ["evaluate", "--config", config, "--out", out, "--json"];
     let more = ["--folds", "2", "--truth", truth, "--ablations"];
     let evaluated = relief(&[&fixed[..], &more].concat(), &[&scan]);
