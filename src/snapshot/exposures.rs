@@ -24,17 +24,22 @@ pub(super) struct Exposure {
 }
 
 impl Exposure {
-    pub(super) fn new(frame_id: u64, device_time_secs: f64, counts: Image<u16>) -> Self {
-        let sum: u64 = counts.data().iter().map(|&counts| u64::from(counts)).sum();
+    /// An image from where `depth_m` was seen before.
+    pub(super) fn new(
+        frame_id: u64,
+        device_time_secs: f64,
+        counts: Image<u16>,
+        depth_m: Option<&Image<f32>>,
+    ) -> Self {
         Exposure {
             frame_id,
             device_time_secs,
-            mean_counts: sum as f64 / counts.data().len().max(1) as f64,
+            mean_counts: mean_counts(&counts, depth_m),
             counts,
         }
     }
 
-    /// Mean of all pixels.
+    /// Mean over the pixels with depth, see [`mean_counts`].
     pub(super) fn mean_counts(&self) -> f64 {
         self.mean_counts
     }
@@ -115,6 +120,24 @@ impl Agreeing<'_> {
     }
 }
 
+/// Mean over the pixels with depth; over all pixels where none has.
+pub(super) fn mean_counts<T: Copy + Into<f64>>(
+    counts: &Image<T>,
+    depth_m: Option<&Image<f32>>,
+) -> f64 {
+    let all = counts.data();
+    let mean = |sum: f64, n: usize| sum / n.max(1) as f64;
+    let measured = depth_m.into_iter().flat_map(|depth_m| depth_m.data());
+    let measured = all.iter().zip(measured).filter(|(_, z)| **z > 0.0);
+    let (sum, n) = measured.fold((0.0, 0), |(sum, n), (&counts, _)| {
+        (sum + counts.into(), n + 1)
+    });
+    match n {
+        0 => mean(all.iter().map(|&counts| counts.into()).sum(), all.len()),
+        n => mean(sum, n),
+    }
+}
+
 /// Share of the pixels at full scale.
 pub(super) fn saturated_share<T: Copy + Into<f32>>(counts: &Image<T>, full_scale: f64) -> f64 {
     let limit = (SATURATION * full_scale) as f32;
@@ -192,7 +215,19 @@ mod tests {
     fn exposure(frame_id: u64, value: impl Fn(usize, usize) -> f64) -> Exposure {
         let pixels = (0..64 * 48).map(|pixel| value(pixel % 64, pixel / 64) as u16);
         let counts = Image::from_vec(64, 48, pixels.collect());
-        Exposure::new(frame_id, frame_id as f64 / 30.0, counts)
+        Exposure::new(frame_id, frame_id as f64 / 30.0, counts, None)
+    }
+
+    #[test]
+    fn brightness_is_that_of_the_pixels_with_depth() {
+        let counts = Image::from_vec(2, 2, vec![100_u16, 200, 300, 600]);
+        let mean = |depth_m: [f32; 4]| {
+            let depth_m = Image::from_vec(2, 2, depth_m.to_vec());
+            mean_counts(&counts, Some(&depth_m))
+        };
+        assert_eq!(mean([0.5, 0.0, 0.7, 0.0]), 200.0);
+        assert_eq!(mean([0.0; 4]), 300.0);
+        assert_eq!(mean_counts(&counts, None), 300.0);
     }
 
     #[test]

@@ -9,7 +9,7 @@
 //! that the operator took the trouble to hold is kept, however little it adds.
 
 use super::candidates::Candidates;
-use super::exposures::{Agreeing, Exposure, agreeing, saturated_share};
+use super::exposures::{Agreeing, Exposure, agreeing, mean_counts, saturated_share};
 use super::guide::{Guidance, Guide};
 use super::information::{ViewInformation, view_information};
 use super::lamp_group::{LampGroup, is_lit, unlit};
@@ -23,11 +23,14 @@ use depth_camera::{Frame, Image};
 /// A pose that is older than this when the exposures begin does not count as held, and one so much later than their end does not tell
 /// whether it was; arbitrary, recorded sequences take 0.53.
 const MAX_HOLD_SECS: f64 = 1.0;
+/// A tracked frame with a smaller share of the depth that there was within [`MAX_HOLD_SECS`] is taken while something covers or uncovers
+/// the projector; arbitrary, the frames of a held pose differ by hundredths.
+const UNCOVERED_SHARE: f64 = 0.5;
 
 /// The stream of a sensor whose lamp is lit at shading poses only.
 #[derive(Default)]
 pub(super) struct ShadingSequence {
-    /// The last tracked frame; `None` while the pose is not known.
+    /// The last tracked frame of which little was covered; `None` while the pose is not known.
     before: Option<Before>,
     /// The group that is open.
     group: LampGroup,
@@ -40,6 +43,15 @@ pub(super) struct ShadingSequence {
 struct Before {
     at: Placed,
     depth_m: Image<f32>,
+    /// The most that was seen of late, at most [`MAX_HOLD_SECS`] earlier.
+    fullest: Fullest,
+}
+
+/// How much depth a frame had, and when that was on the device's clock.
+#[derive(Clone, Copy)]
+struct Fullest {
+    depth_share: f64,
+    device_time_secs: f64,
 }
 
 impl ShadingSequence {
@@ -54,7 +66,7 @@ impl ShadingSequence {
                 refuse_uncovered(frame, texture.as_ref(), to);
                 self.guide
                     .tracked(&at.world_from_camera, at.device_time_secs);
-                self.before = frame.depth.clone().map(|depth_m| Before { at, depth_m });
+                self.remember(at, frame);
             }
             (None, TrackingOutcome::Lost(_)) if !covered => {
                 self.abandon(RejectReason::LostAfter, to);
@@ -79,11 +91,13 @@ impl ShadingSequence {
         !self.group.exposures().is_empty()
     }
 
-    /// Forgets where the camera was, and the open group.
-    pub(super) fn interrupt(&mut self) {
+    /// Forgets where the camera was, the open group, and of the lamp all but what the candidates tell that are `left`.
+    pub(super) fn interrupt(&mut self, left: &Candidates) {
         self.group = LampGroup::default();
         self.before = None;
         self.guide.lost();
+        let levels = left.pool.snapshots().map(counts_at_1_m);
+        self.lamp_counts_at_1_m = levels.fold(0.0, f64::max);
     }
 
     pub(super) fn correct(&mut self, correction: &PoseCorrection) {
@@ -99,12 +113,39 @@ impl ShadingSequence {
         }
     }
 
+    /// Takes in where the camera is and what it sees from there, unless a hand or a shutter is on its way across the projector: what
+    /// is left of the depth tells neither what hides the object nor how much light arrives.
+    fn remember(&mut self, at: Placed, frame: &Frame) {
+        let Some(depth_m) = &frame.depth else {
+            self.before = None;
+            return;
+        };
+        let now = Fullest {
+            depth_share: frame.depth_share(),
+            device_time_secs: at.device_time_secs,
+        };
+        let lately = self.before.as_ref().map(|before| before.fullest);
+        let fuller = lately.filter(|then| {
+            now.device_time_secs - then.device_time_secs <= MAX_HOLD_SECS
+                && then.depth_share > now.depth_share
+        });
+        let fullest = fuller.unwrap_or(now);
+        if now.depth_share >= UNCOVERED_SHARE * fullest.depth_share {
+            self.before = Some(Before {
+                at,
+                depth_m: depth_m.clone(),
+                fullest,
+            });
+        }
+    }
+
     /// Takes in a frame without depth: an exposure, if the lamp and nothing else lights it.
     fn expose(&mut self, frame: &Frame, texture: Option<&Texture>, to: &mut Candidates) {
         let (Some(ir), Some(texture)) = (&frame.ir, texture) else {
             return;
         };
-        let image = || Exposure::new(frame.frame_id, frame.device_time_secs, ir.clone());
+        let depth_m = self.before.as_ref().map(|before| &before.depth_m);
+        let image = || Exposure::new(frame.frame_id, frame.device_time_secs, ir.clone(), depth_m);
         let max_exposures = to.params.max_exposures;
         if texture.is_speckled() {
             let energy = texture.speckle_energy;
@@ -254,21 +295,23 @@ fn pose_between(
     Ok(mean_pose(before, after))
 }
 
-/// How much of a light at 1 m arrives at a pose: the mean of 1/z² over the image, nothing where there is no depth; 1 without any.
+/// How much of a light at 1 m arrives at a pose: the mean of 1/z² over the pixels with depth, 1 without any. Brightness is the mean
+/// over the same pixels ([`mean_counts`]), so that it does not matter how many there are.
 fn arriving(depth_m: &Image<f32>) -> f64 {
     let measured = depth_m.data().iter().filter(|z| **z > 0.0);
-    let sum: f64 = measured.map(|&z| f64::from(z).powi(-2)).sum();
-    match sum > 0.0 {
-        true => sum / depth_m.data().len() as f64,
-        false => 1.0,
+    let (sum, n) = measured.fold((0.0, 0_usize), |(sum, n), &z| {
+        (sum + f64::from(z).powi(-2), n + 1)
+    });
+    match n {
+        0 => 1.0,
+        n => sum / n as f64,
     }
 }
 
 /// How bright a pose would be from 1 m, mean counts.
 fn counts_at_1_m(snapshot: &ShadingSnapshot) -> f64 {
-    let counts = snapshot.ir_counts.data();
-    let sum: f64 = counts.iter().map(|&counts| f64::from(counts)).sum();
-    sum / counts.len().max(1) as f64 / arriving(&snapshot.depth_m)
+    let depth_m = &snapshot.depth_m;
+    mean_counts(&snapshot.ir_counts, Some(depth_m)) / arriving(depth_m)
 }
 
 #[cfg(test)]

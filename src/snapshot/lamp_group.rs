@@ -131,6 +131,7 @@ mod tests {
             frame_id,
             frame_id as f64 / 30.0,
             Image::filled(8, 6, counts),
+            None,
         )
     }
 

@@ -52,6 +52,11 @@ impl Pool {
         self.candidates.len()
     }
 
+    /// The candidates, in order of arrival.
+    pub(super) fn snapshots(&self) -> impl Iterator<Item = &ShadingSnapshot> {
+        self.candidates.iter().map(|candidate| &candidate.snapshot)
+    }
+
     /// Takes a candidate in; when there is no room, the one whose removal loses least (of equals the latest) is put out.
     pub(super) fn offer(
         &mut self,

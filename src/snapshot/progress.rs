@@ -69,7 +69,7 @@ impl SnapshotSelector {
     pub fn forget_after(&mut self, after_secs: f64) {
         self.candidates.pool.forget_after(after_secs);
         match &mut self.method {
-            Method::Sequence(sequence) => sequence.interrupt(),
+            Method::Sequence(sequence) => sequence.interrupt(&self.candidates),
             Method::Stream(stream) => stream.interrupt(),
         }
     }

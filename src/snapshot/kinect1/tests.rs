@@ -14,6 +14,8 @@ use std::time::Duration;
 enum Shows {
     /// Depth, tracked at this x of the camera, metres.
     Depth(f64),
+    /// Depth in this share of the rows, tracked where the camera began.
+    Partly(f64),
     /// Depth that the tracker does not find in the model.
     Strange,
     /// The lamp at this brightness.
@@ -27,12 +29,13 @@ enum Shows {
 fn observe(selector: &mut SnapshotSelector, frame_id: u64, shows: Shows) {
     let info = scenes::camera_info(Sensor::Kinect1);
     let (width, height) = (info.intrinsics.width, info.intrinsics.height);
-    let depth = match shows {
-        Shows::Depth(_) | Shows::Strange => 0.6,
+    let depth_share = match shows {
+        Shows::Depth(_) | Shows::Strange => 1.0,
+        Shows::Partly(share) => share,
         _ => 0.0,
     };
     let ir = match shows {
-        Shows::Depth(_) | Shows::Strange => None,
+        Shows::Depth(_) | Shows::Partly(_) | Shows::Strange => None,
         Shows::Lamp(counts) => Some(Image::filled(width, height, counts)),
         Shows::Speckle => {
             let dots = (0..width * height).map(|pixel| if pixel % 5 == 0 { 700 } else { 20 });
@@ -42,10 +45,13 @@ fn observe(selector: &mut SnapshotSelector, frame_id: u64, shows: Shows) {
     };
     let outcome = match shows {
         Shows::Depth(x) => scenes::tracked(increment(&Vector6::new(0.0, 0.0, 0.0, x, 0.0, 0.0))),
+        Shows::Partly(_) => scenes::tracked(Pose::identity()),
         Shows::Strange => TrackingOutcome::Lost(LossReason::FewInliers { inlier_share: 0.1 }),
         _ => TrackingOutcome::NoDepth,
     };
-    let depth = Image::filled(width, height, depth);
+    let n_measured = (depth_share * height as f64) as usize * width;
+    let depth = (0..width * height).map(|pixel| if pixel < n_measured { 0.6 } else { 0.0 });
+    let depth = Image::from_vec(width, height, depth.collect());
     let frame = scenes::frame(frame_id, frame_id as f64 / 30.0, Some(depth), ir);
     selector.observe(&scenes::without_model(&frame, &outcome));
 }
@@ -173,6 +179,79 @@ fn a_request_that_a_pose_without_the_lamp_met_stands_until_a_lit_one_comes() {
     let selection = selector.finish();
     let accepted = selection.accepted.iter().map(|s| s.frame_id);
     assert_eq!(accepted.collect::<Vec<_>>(), [9]);
+}
+
+/// Where depth was measured in the shading images, as a share of the image, with their first frames.
+fn measured(selection: &SnapshotSelection) -> Vec<(u64, f64)> {
+    let accepted = selection.accepted.iter();
+    let measured = accepted.map(|s| {
+        let n_measured = s.depth_m.data().iter().filter(|z| **z > 0.0).count();
+        (
+            s.frame_id,
+            n_measured as f64 / s.depth_m.data().len() as f64,
+        )
+    });
+    measured.collect()
+}
+
+#[test]
+fn what_a_shutter_leaves_of_the_depth_on_its_way_is_no_shading_image_s_depth() {
+    use Shows::*;
+    let whole = [Depth(0.0), Lamp(300), Lamp(300), Depth(0.0)];
+    // Half and half again, down to what tracking takes.
+    let shutter = [
+        Depth(0.0),
+        Partly(0.6),
+        Partly(0.35),
+        Partly(0.05),
+        Partly(0.02),
+        Lamp(300),
+        Lamp(300),
+        Partly(0.02),
+        Depth(0.0),
+    ];
+    let selection = select(&[&whole[..], &shutter, &whole].concat());
+    let found = measured(&selection);
+    let ids: Vec<_> = found.iter().map(|(frame_id, _)| *frame_id).collect();
+    assert_eq!(ids, [1, 9, 14]);
+    assert!(found.iter().all(|(_, share)| *share > 0.5), "{found:?}");
+    assert!(reasons(&selection).is_empty());
+}
+
+#[test]
+fn a_pose_that_sees_little_depth_is_no_brighter_for_it() {
+    use Shows::*;
+    let pose = |seen| [seen, Lamp(300), Lamp(300), seen];
+    // For longer than a second there is no more depth than that.
+    let little = [&[Partly(0.1); 40][..], &pose(Partly(0.1))].concat();
+    let selection = select(&[&pose(Depth(0.0))[..], &little, &pose(Depth(0.0))].concat());
+    let found = measured(&selection);
+    let ids: Vec<_> = found.iter().map(|(frame_id, _)| *frame_id).collect();
+    assert_eq!(ids, [1, 45, 49]);
+    assert!(found[1].1 < 0.11, "{found:?}");
+    assert!(reasons(&selection).is_empty());
+}
+
+#[test]
+fn what_is_forgotten_tells_nothing_of_the_lamp() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    for (forget_after, n_accepted) in [(f64::INFINITY, 2), (0.15, 2), (f64::NEG_INFINITY, 1)] {
+        let mut selector = SnapshotSelector::new(&info, SnapshotParams::default()).unwrap();
+        let frames = [120, 400].map(|counts| [Depth(0.0), Lamp(counts), Lamp(counts), Depth(0.0)]);
+        for (frame_id, shows) in frames.concat().into_iter().enumerate() {
+            observe(&mut selector, frame_id as u64, shows);
+        }
+        selector.forget_after(forget_after);
+        for (frame_id, shows) in (8..).zip([Depth(0.0), Lamp(60), Lamp(60), Depth(0.0)]) {
+            observe(&mut selector, frame_id, shows);
+        }
+        assert_eq!(
+            selector.finish().accepted.len(),
+            n_accepted,
+            "{forget_after}"
+        );
+    }
 }
 
 #[test]
