@@ -11,6 +11,8 @@ pub enum Tracked {
     Pose(f64, Pose),
     /// At the end all poses of the fused frames with their times, seconds, as they are known then.
     Trajectory(Vec<(f64, Pose)>),
+    /// This frame is a candidate for a shading image.
+    Candidate(u64),
     /// Something happened.
     Event(Event),
 }
@@ -52,7 +54,8 @@ pub enum EventKind {
     Found,
     /// The frame shows no depth, unlike the one before.
     NoDepth,
-    /// The frame gave the last exposure that a shading image needed.
+    /// There are more shading images than before this frame, fewer, or others. Of a Kinect I it is the first frame with depth after the
+    /// exposures.
     Snapshot {
         /// Shading images so far.
         n_snapshots: usize,

@@ -92,11 +92,13 @@ enum FrameWriter {
 }
 
 impl FrameRecorder {
-    /// Begins a recording in its own folder beneath `folder`.
+    /// Begins a recording in its own folder beneath `folder`; a frame with no more valid depth than `max_covered_depth_share` is one of
+    /// a covered projector.
     pub(super) fn create(
         folder: &Path,
         info: &CameraInfo,
         params: &CaptureParams,
+        max_covered_depth_share: f64,
     ) -> Result<Self, RecordingError> {
         let folder = folder.join(params.record_format.folder_name());
         let depth_units_per_metre = params.record_depth_units_per_metre;
@@ -119,7 +121,7 @@ impl FrameRecorder {
         let mut recorder = FrameRecorder {
             folder,
             writer: Some(writer),
-            gate: InfraredGate::new(rate),
+            gate: InfraredGate::new(rate, max_covered_depth_share),
             standing: RecordingStanding {
                 active: true,
                 disk_floor_bytes: params.min_free_bytes(),
@@ -167,9 +169,9 @@ impl FrameRecorder {
         self.after(written).or_else(|| self.tick())
     }
 
-    /// A shading image was taken at a frame: the infrared around it is recorded.
-    pub(super) fn snapshot(&mut self, frame_id: u64) -> Option<Stopped> {
-        let frames = self.gate.snapshot(frame_id);
+    /// A frame is a candidate for a shading image: the infrared around it is recorded.
+    pub(super) fn candidate(&mut self, frame_id: u64) -> Option<Stopped> {
+        let frames = self.gate.candidate(frame_id);
         let Some(FrameWriter::Mcap(writer)) = &mut self.writer else {
             return None;
         };
@@ -302,7 +304,8 @@ mod tests {
             min_free_disk_mb: 0,
             ..CaptureParams::default()
         };
-        let mut recorder = FrameRecorder::create(folder.path(), camera.info(), &params).unwrap();
+        let mut recorder =
+            FrameRecorder::create(folder.path(), camera.info(), &params, 0.0).unwrap();
         recorder.writer = None;
         let frame = camera.grab(Duration::ZERO).unwrap().unwrap();
         let delivered = DeliveredFrame::unmoved(Arc::new(frame));

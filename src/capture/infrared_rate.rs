@@ -5,22 +5,22 @@ use depth_camera::Frame;
 use serde::{Deserialize, Serialize};
 use std::{collections::VecDeque, fmt, sync::Arc};
 
-/// Frames before and after that of a shading image whose infrared is recorded with it: half a second each; arbitrary.
+/// Frames before and after a candidate for a shading image whose infrared is recorded with it: half a second each; arbitrary.
 const BURST: u64 = 15;
 /// Frames whose infrared was left out and may still be wanted; replay waits for it a second and a half.
 const HELD: usize = 32;
 const HELD_SECS: f64 = 1.0;
 
-/// Which infrared images of a recording are kept beside the depth; those that come without depth always are.
+/// Which infrared images of a recording are kept beside the depth; those of a covered projector, that come without depth, always are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum InfraredRate {
     /// All: what is recorded replays exactly.
     #[default]
     All,
-    /// Every so manieth, and those around shading images.
+    /// Every so manieth, and those around candidates for shading images.
     Every(u32),
-    /// Those around shading images.
+    /// Those around candidates for shading images.
     Snapshots,
 }
 
@@ -56,10 +56,12 @@ impl fmt::Display for InfraredRate {
     }
 }
 
-/// Lets infrared images through at a rate, and those around shading images, which are known only some frames later.
+/// Lets infrared images through at a rate, and those around candidates for shading images, which are known only some frames later.
 #[derive(Debug)]
 pub(super) struct InfraredGate {
     rate: InfraredRate,
+    /// With no more valid depth than this share the projector is covered, and an image may be an exposure.
+    max_covered_depth_share: f64,
     /// Frames whose infrared was left out, oldest first.
     held: VecDeque<Arc<Frame>>,
     /// Up to this frame all infrared is let through.
@@ -68,9 +70,10 @@ pub(super) struct InfraredGate {
 
 impl InfraredGate {
     /// A gate that has seen nothing.
-    pub(super) fn new(rate: InfraredRate) -> Self {
+    pub(super) fn new(rate: InfraredRate, max_covered_depth_share: f64) -> Self {
         InfraredGate {
             rate,
+            max_covered_depth_share,
             held: VecDeque::new(),
             burst_end: None,
         }
@@ -88,7 +91,7 @@ impl InfraredGate {
         let Some(ir) = &delivered.ir else {
             return true;
         };
-        if is_due || is_burst || frame.depth.is_none() {
+        if is_due || is_burst || frame.depth_share() <= self.max_covered_depth_share {
             return true;
         }
         self.held.push_back(ir.clone());
@@ -104,8 +107,8 @@ impl InfraredGate {
         false
     }
 
-    /// A shading image was taken at a frame: the frames before it whose infrared is to be recorded after all.
-    pub(super) fn snapshot(&mut self, frame_id: u64) -> Vec<Arc<Frame>> {
+    /// A frame is a candidate for a shading image: the frames before it whose infrared is to be recorded after all.
+    pub(super) fn candidate(&mut self, frame_id: u64) -> Vec<Arc<Frame>> {
         self.burst_end = self.burst_end.max(Some(frame_id + BURST));
         let first = frame_id.saturating_sub(BURST);
         let wanted = first..=frame_id + BURST;
@@ -133,16 +136,18 @@ mod tests {
         }))
     }
 
-    /// The frames whose infrared is recorded at once, and later, when a shading image is taken at frame 50 and told of at 54.
+    const MAX_COVERED: f64 = 0.04;
+
+    /// The frames whose infrared is recorded at once, and later, when frame 50 is a candidate and told of at 54.
     fn recorded(rate: InfraredRate) -> (Vec<u64>, Vec<u64>) {
-        let mut gate = InfraredGate::new(rate);
+        let mut gate = InfraredGate::new(rate, MAX_COVERED);
         let (mut at_once, mut later) = (Vec::new(), Vec::new());
         for frame_id in 0..100 {
             if gate.admits(&frame(frame_id)) {
                 at_once.push(frame_id);
             }
             if frame_id == 54 {
-                let wanted = gate.snapshot(50);
+                let wanted = gate.candidate(50);
                 later.extend(wanted.iter().map(|frame| frame.frame_id));
             }
         }
@@ -150,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn bursts_lie_around_shading_images() {
+    fn bursts_lie_around_candidates() {
         let (at_once, later) = recorded(InfraredRate::Snapshots);
         assert_eq!(at_once, (55..=65).collect::<Vec<_>>());
         assert_eq!(later, (35..=54).collect::<Vec<_>>());
@@ -165,13 +170,23 @@ mod tests {
 
     #[test]
     fn infrared_without_depth_is_always_recorded() {
-        let mut gate = InfraredGate::new(InfraredRate::Snapshots);
-        let alone = Frame {
-            depth: None,
-            ..(*frame(1).frame).clone()
+        let mut gate = InfraredGate::new(InfraredRate::Snapshots, MAX_COVERED);
+        let mut with_depth = |depth: Option<Image<f32>>| {
+            let frame = Frame {
+                depth,
+                ..(*frame(1).frame).clone()
+            };
+            gate.admits(&DeliveredFrame::unmoved(Arc::new(frame)))
         };
-        assert!(gate.admits(&DeliveredFrame::unmoved(Arc::new(alone))));
-        assert!(!gate.admits(&frame(2)));
+        assert!(with_depth(None));
+        // A covered projector leaves an image of no depth, and a little of it at its rim.
+        let with_n = |n_measured: usize| {
+            let depth = (0..100).map(|pixel| if pixel < n_measured { 1.0 } else { 0.0 });
+            Some(Image::from_vec(10, 10, depth.collect()))
+        };
+        assert!(with_depth(with_n(0)));
+        assert!(with_depth(with_n(4)));
+        assert!(!with_depth(with_n(5)));
     }
 
     #[test]

@@ -61,7 +61,8 @@ impl Recorder {
         })
     }
 
-    /// The same recorder, which also writes frames of a camera into a folder of its own beside the events.
+    /// The same recorder, which also writes frames of a camera into a folder of its own beside the events. Of a frame with no more valid
+    /// depth than `max_covered_depth_share` the projector is covered: its infrared is written at any rate.
     ///
     /// # Errors
     /// If the recording cannot be begun.
@@ -69,8 +70,9 @@ impl Recorder {
         mut self,
         info: &CameraInfo,
         params: &CaptureParams,
+        max_covered_depth_share: f64,
     ) -> Result<Self, RecordingError> {
-        let frames = FrameRecorder::create(&self.folder, info, params)?;
+        let frames = FrameRecorder::create(&self.folder, info, params, max_covered_depth_share)?;
         self.summary.outputs.push(frames.folder().to_owned());
         self.frames = Some(frames);
         Ok(self)
@@ -102,12 +104,10 @@ impl Recorder {
                 self.with_recording(|frames| frames.pose(time_secs, &pose));
             }
             Tracked::Trajectory(trajectory) => self.summary.trajectory = trajectory,
-            Tracked::Event(event) => {
-                if let EventKind::Snapshot { .. } = event.kind {
-                    self.with_recording(|frames| frames.snapshot(event.frame_id));
-                }
-                self.event(&event);
+            Tracked::Candidate(frame_id) => {
+                self.with_recording(|frames| frames.candidate(frame_id));
             }
+            Tracked::Event(event) => self.event(&event),
         }
         self.events.write_waiting();
     }

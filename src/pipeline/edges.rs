@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | device → fusion, frames | 4 | [`WhenFull`]: a recording blocks; a live device drops the oldest frame, which is counted; while the camera is lost all but the newest two |
 //! | device → recorder, frames | 64 | [`WhenFull`]: a recording blocks; a live device leaves out IR from three quarters on, then drops the frame; both are counted |
-//! | device, fusion → recorder, events and poses | 1024 | blocks: nothing of it may be lost, and the recorder never waits for its sender |
+//! | device, fusion → recorder, events, poses and candidates | 1024 | blocks: nothing of it may be lost, and the recorder never waits for its sender |
 //! | outside → fusion, commands | 8 | refused: whoever asks never waits |
 //! | fusion → sewing, changed patches of the surface | 1 | not made: the next ones are newer |
 //! | fusion → refine, the fused scan | 1 | never: one scan is sent |
@@ -122,7 +122,7 @@ pub struct TrackedSender {
     log: EventLog,
 }
 
-/// Device and fusion → recorder, events and poses; events also go to the log of the newest.
+/// Device and fusion → recorder, events, poses and candidates; events also go to the log of the newest.
 pub fn tracked(log: &EventLog) -> (TrackedSender, Receiver<Tracked>) {
     let (channel, receiver) = bounded(TRACKED);
     let log = log.clone();

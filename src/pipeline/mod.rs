@@ -317,7 +317,8 @@ fn recorder(
         .calibration
         .to_toml()
         .map_err(SpawnError::Calibration)?;
-    let recorder = recorder.with_frames(info, &params.capture)?;
+    let max_covered = params.snapshot.max_covered_depth_share;
+    let recorder = recorder.with_frames(info, &params.capture, max_covered)?;
     Ok(recorder
         .with_text(Calibration::FILE_NAME, &calibration)
         .map_err(RecordingError::from)?)

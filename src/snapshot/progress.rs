@@ -53,6 +53,12 @@ impl SnapshotSelector {
         &self.candidates.rejected
     }
 
+    /// Whether a frame is among the candidates; of a Kinect I it is the first exposure that is.
+    pub fn holds(&self, frame_id: u64) -> bool {
+        let mut held = self.candidates.pool.snapshots();
+        held.any(|snapshot| snapshot.frame_id == frame_id)
+    }
+
     /// The candidates at present, in order of arrival, with why each would not be chosen if the scan ended now.
     pub fn held(&self) -> Vec<(&ShadingSnapshot, Option<RejectReason>)> {
         let Candidates { pool, params, .. } = &self.candidates;

@@ -45,7 +45,7 @@ fn frames_and_events_are_read_back_from_either_format() {
         let mut camera = small_camera(2);
         let mut recorder = Recorder::new(folder.path())
             .unwrap()
-            .with_frames(camera.info(), &params(format))
+            .with_frames(camera.info(), &params(format), 0.0)
             .unwrap()
             .with_text("note.txt", "by lamplight")
             .unwrap();
@@ -90,7 +90,7 @@ fn texts(recording: &Path, wanted: Stream) -> Vec<String> {
 }
 
 #[test]
-fn infrared_is_recorded_around_shading_images_and_events_with_the_frames() {
+fn infrared_is_recorded_around_candidates_and_events_with_the_frames() {
     let folder = tempfile::tempdir().unwrap();
     let mut camera = small_camera(60);
     let snapshots_only = CaptureParams {
@@ -99,14 +99,15 @@ fn infrared_is_recorded_around_shading_images_and_events_with_the_frames() {
     };
     let mut recorder = Recorder::new(folder.path())
         .unwrap()
-        .with_frames(camera.info(), &snapshots_only)
+        .with_frames(camera.info(), &snapshots_only, 0.0)
         .unwrap();
     while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
         let frame_id = frame.frame_id;
         recorder.frame(&DeliveredFrame::unmoved(Arc::new(frame)));
         if frame_id == 33 {
+            recorder.tracked(Tracked::Candidate(30));
             let taken = EventKind::Snapshot { n_snapshots: 1 };
-            recorder.tracked(Tracked::Event(event(30, taken)));
+            recorder.tracked(Tracked::Event(event(33, taken)));
         }
     }
     assert_eq!(recorder.finish().n_recorded, 60);
@@ -131,7 +132,7 @@ fn a_disk_that_fills_up_stops_the_recording_and_is_told_of() {
     let mut camera = small_camera(3);
     let mut recorder = Recorder::new(folder.path())
         .unwrap()
-        .with_frames(camera.info(), &params(RecordFormat::Folder))
+        .with_frames(camera.info(), &params(RecordFormat::Folder), 0.0)
         .unwrap();
     let mut next = || {
         let frame = camera.grab(Duration::ZERO).unwrap().unwrap();

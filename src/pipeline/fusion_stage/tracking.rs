@@ -125,7 +125,11 @@ impl FusionStage {
         let is_granted = was_requested && !selector.is_requested();
         // A lit pose in place of an unlit one leaves the number as it was.
         let has_replaced = selector.n_revoked() != n_revoked;
+        let is_candidate = selector.holds(frame.frame_id);
         self.showing.note(frame, selector.rejected());
+        if is_candidate {
+            self.send(Tracked::Candidate(frame.frame_id));
+        }
         if n_snapshots != n_before || is_granted || has_replaced {
             self.tell(frame, EventKind::Snapshot { n_snapshots });
         }
@@ -249,6 +253,25 @@ mod tests {
         hold(&mut stage, 0, 60);
         hold(&mut stage, 4, 400);
         assert_eq!(told(&log), [TAKEN, TAKEN]);
+    }
+
+    #[test]
+    fn the_recorder_hears_of_candidates() {
+        let mut camera = SimulatedCamera::kinect2_plaque(1, 7);
+        let info = camera.info().clone();
+        let frame = camera.grab(Duration::ZERO).expect("no errors");
+        let frame = Arc::new(frame.expect("not the last"));
+        let fusion = FusionParams {
+            voxel_size_m: 0.004,
+            ..FusionParams::default()
+        };
+        let (surfaces, _) = edges::surfaces();
+        let (tracked, told) = edges::tracked(&EventLog::default());
+        let mut stage = FusionStage::new(setup(info, fusion, surfaces), tracked);
+        let outcome = stage.fuse(&frame).expect("no given poses");
+        stage.consider(&frame, &outcome);
+        let candidate = Tracked::Candidate(frame.frame_id);
+        assert!(told.try_iter().any(|told| told == candidate));
     }
 
     #[test]

@@ -201,6 +201,33 @@ fn a_scan_of_a_plaque_gives_views_from_both_sides() {
 }
 
 #[test]
+fn a_frame_that_makes_another_one_room_is_a_candidate_though_there_are_no_more_than_before() {
+    let info = scenes::camera_info(Sensor::Kinect2);
+    let params = SnapshotParams {
+        max_snapshots: 2,
+        ..SnapshotParams::default()
+    };
+    let mut selector = SnapshotSelector::new(&info, params).unwrap();
+    let other_side = turn_about(Vector3::new(0.0, 0.0, 0.6), -20.0);
+    let mut held = Vec::new();
+    for frame_id in 0..6 {
+        let pose = match frame_id {
+            5 => other_side,
+            _ => Pose::identity(),
+        };
+        let plane = Plane::tilted(0.6, 0.0);
+        let at = (frame_id, frame_id as f64);
+        observe(&mut selector, &plane, at, &pose, 20_000);
+        held.push((selector.holds(frame_id), selector.n_accepted()));
+    }
+    // Twice as many as are chosen find room, and the fifth tells what those before it do.
+    let full = (true, 2);
+    assert_eq!(held, [(true, 1), full, full, full, (false, 2), full]);
+    let accepted = selector.finish().accepted;
+    assert!(accepted.iter().any(|s| s.frame_id == 5));
+}
+
+#[test]
 fn an_image_that_is_asked_for_waits_for_a_good_frame() {
     let info = scenes::camera_info(Sensor::Kinect2);
     let params = SnapshotParams {
