@@ -43,6 +43,7 @@ fn answers() -> Answers {
             p2: 0.0,
         },
         open_error: String::new(),
+        list_error: String::new(),
     }
 }
 

@@ -4,6 +4,7 @@
 //! silence and nothing else, as with libfreenect2, and plugged in again; packets of any size, order and status can be sent.
 
 use std::{
+    cell::RefCell,
     collections::BTreeMap,
     ffi::{CStr, c_char, c_void},
     ptr, slice,
@@ -30,6 +31,8 @@ pub struct Answers {
     pub ir_parameters: f2shim_ir_parameters,
     /// What the library logs when it cannot be opened; it can be if this is empty.
     pub open_error: String,
+    /// What the library logs when it leaves the unit out of a list; it is listed if this is empty.
+    pub list_error: String,
 }
 
 /// A packet to be sent.
@@ -67,7 +70,24 @@ struct Stream {
 unsafe impl Send for Stream {}
 
 static BUS: Mutex<BTreeMap<String, Plugged>> = Mutex::new(BTreeMap::new());
-static LAST_ERROR: Mutex<String> = Mutex::new(String::new());
+
+thread_local! {
+    /// Errors of the newest call that may fail. By thread, as all calls on a context come from one: tests stay apart.
+    static ERRORS: RefCell<String> = const { RefCell::new(String::new()) };
+}
+
+fn forget_errors() {
+    ERRORS.with_borrow_mut(String::clear);
+}
+
+fn add_error(text: &str) {
+    ERRORS.with_borrow_mut(|errors| {
+        if !errors.is_empty() {
+            errors.push_str("; ");
+        }
+        errors.push_str(text);
+    });
+}
 
 fn bus() -> MutexGuard<'static, BTreeMap<String, Plugged>> {
     BUS.lock().unwrap_or_else(PoisonError::into_inner)
@@ -234,8 +254,14 @@ unsafe extern "C" fn context_destroy(context: *mut f2shim_context) {
 unsafe extern "C" fn enumerate(context: *mut f2shim_context, n_devices: *mut u32) -> f2shim_status {
     // SAFETY: the handle came from `context_create`, and one thread at a time uses it.
     let context = unsafe { &mut *context.cast::<Context>() };
-    let present = |(serial, plugged): (&String, &Plugged)| plugged.present.then(|| serial.clone());
-    context.serials = bus().iter().filter_map(present).collect();
+    forget_errors();
+    context.serials.clear();
+    for (serial, plugged) in bus().iter().filter(|(_, plugged)| plugged.present) {
+        match plugged.answers.list_error.as_str() {
+            "" => context.serials.push(serial.clone()),
+            error => add_error(error),
+        }
+    }
     // SAFETY: the caller gives a place for the number.
     unsafe { *n_devices = context.serials.len() as u32 };
     F2SHIM_OK
@@ -263,13 +289,13 @@ unsafe extern "C" fn device_open(
 ) -> f2shim_status {
     // SAFETY: the caller gives a zero-terminated text.
     let serial = unsafe { CStr::from_ptr(serial) }.to_string_lossy();
+    forget_errors();
     let mut bus = bus();
     let Some(plugged) = bus.get_mut(serial.as_ref()).filter(|unit| unit.present) else {
         return F2SHIM_NOT_FOUND;
     };
     if !plugged.answers.open_error.is_empty() {
-        let mut last_error = LAST_ERROR.lock().unwrap_or_else(PoisonError::into_inner);
-        last_error.clone_from(&plugged.answers.open_error);
+        add_error(&plugged.answers.open_error);
         return F2SHIM_FAILED;
     }
     plugged.n_open += 1;
@@ -293,6 +319,7 @@ unsafe extern "C" fn device_start(
     match bus().get_mut(&device.serial) {
         _ if device.streaming => F2SHIM_WRONG_STATE,
         Some(plugged) if plugged.present && plugged.plugging == device.plugging => {
+            forget_errors();
             plugged.stream = Some(Stream { callback, user });
             device.streaming = true;
             F2SHIM_OK
@@ -364,9 +391,8 @@ unsafe extern "C" fn device_p0_tables(
 }
 
 unsafe extern "C" fn last_error(buffer: *mut c_char, capacity: usize) -> f2shim_status {
-    let text = LAST_ERROR.lock().unwrap_or_else(PoisonError::into_inner);
     // SAFETY: the caller gives a buffer of that capacity.
-    unsafe { copy_text(&text, buffer, capacity) }
+    ERRORS.with_borrow(|text| unsafe { copy_text(text, buffer, capacity) })
 }
 
 /// Copies a text and its closing zero.

@@ -19,18 +19,31 @@ namespace {
 std::mutex error_mutex;
 std::string error_text;
 
-void set_error(const std::string &text) {
+// What comes first tells the cause; what follows from it is left out beyond so many bytes.
+const size_t max_error_bytes = 500;
+
+// A call begins: what was logged before has nothing to do with it.
+void forget_errors() {
     std::lock_guard<std::mutex> lock(error_mutex);
-    error_text = text;
+    error_text.clear();
 }
 
-// Keeps the last error and prints nothing: standard output belongs to the program.
+void add_error(const std::string &text) {
+    std::lock_guard<std::mutex> lock(error_mutex);
+    if (!error_text.empty())
+        error_text += "; ";
+    error_text += text;
+    if (error_text.size() > max_error_bytes)
+        error_text.resize(max_error_bytes);
+}
+
+// Keeps the errors of a call and prints nothing: standard output belongs to the program.
 class ErrorKeeper : public libfreenect2::Logger {
 public:
     ErrorKeeper() { level_ = Error; }
     void log(Level level, const std::string &message) override {
         if (level == Error)
-            set_error(message);
+            add_error(message);
     }
 };
 
@@ -47,7 +60,7 @@ template <typename Body> f2shim_status guarded(Body body) {
         return body();
     } catch (const std::exception &error) {
         try {
-            set_error(error.what());
+            add_error(error.what());
         } catch (...) {
         }
     } catch (...) {
@@ -108,6 +121,7 @@ void context_destroy(f2shim_context *context) {
 
 f2shim_status enumerate(f2shim_context *context, uint32_t *n_devices) {
     return guarded([&] {
+        forget_errors();
         const int n = context->library.enumerateDevices();
         context->n_devices = n > 0 ? n : 0;
         *n_devices = static_cast<uint32_t>(context->n_devices);
@@ -125,6 +139,7 @@ f2shim_status serial(f2shim_context *context, uint32_t index, char *buffer, size
 
 f2shim_status device_open(f2shim_context *context, const char *serial, f2shim_device **out) {
     return guarded([&]() -> f2shim_status {
+        forget_errors();
         std::unique_ptr<f2shim_device> opened(new f2shim_device());
         // openDevice frees the pipeline itself when it fails.
         opened->pipeline = new libfreenect2::DumpPacketPipeline();
@@ -146,6 +161,7 @@ f2shim_status device_start(f2shim_device *device, f2shim_packet_callback callbac
     return guarded([&]() -> f2shim_status {
         if (device->streaming)
             return F2SHIM_WRONG_STATE;
+        forget_errors();
         device->listener.callback = callback;
         device->listener.user = user;
         device->device->setIrAndDepthFrameListener(&device->listener);

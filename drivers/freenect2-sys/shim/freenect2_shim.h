@@ -60,7 +60,7 @@ typedef struct f2shim_api {
     f2shim_status (*context_create)(f2shim_context **out);
     /* Frees a context; its devices must have been closed. */
     void (*context_destroy)(f2shim_context *context);
-    /* Looks for devices and counts them. */
+    /* Looks for devices and counts them. One that cannot be opened is left out; last_error says so. */
     f2shim_status (*enumerate)(f2shim_context *context, uint32_t *n_devices);
     /* Serial of a device of the last enumeration, zero-terminated, into the caller's `buffer`. */
     f2shim_status (*serial)(f2shim_context *context, uint32_t index, char *buffer, size_t capacity);
@@ -80,7 +80,8 @@ typedef struct f2shim_api {
     /* The phase tables' response of a streaming device into the caller's `buffer`; *length is set even if it is too
      * small. */
     f2shim_status (*device_p0_tables)(f2shim_device *device, uint8_t *buffer, size_t capacity, size_t *length);
-    /* The last error that the library logged, zero-terminated and cut to `capacity`, into the caller's `buffer`. */
+    /* The errors that were logged since the last enumerate, device_open or device_start began, the first of them first,
+     * zero-terminated and cut to `capacity`, into the caller's `buffer`. */
     f2shim_status (*last_error)(char *buffer, size_t capacity);
 } f2shim_api;
 

@@ -258,14 +258,25 @@ fn what_keeps_a_device_from_opening_is_told() {
     let error = open(options("live-wrong")).unwrap_err().to_string();
     assert!(error.contains("IR parameter fy is NaN"), "{error}");
 
-    // One after the other: the last error is the library's, not the device's.
+    let denied = Unit::plug(
+        "live-denied",
+        Answers {
+            list_error: "failed to open Kinect v2: @2:5 LIBUSB_ERROR_ACCESS Access denied"
+                .to_owned(),
+            ..answers()
+        },
+    );
+    let error = open(options("live-denied")).unwrap_err();
+    // It is on the bus of the other tests, too.
+    denied.unplug();
+    assert_eq!(error, CameraError::PermissionDenied);
     for (text, expected) in [
         (
             "failed to open Kinect v2: LIBUSB_ERROR_ACCESS",
             CameraError::PermissionDenied,
         ),
         (
-            "failed to claim interface: LIBUSB_ERROR_BUSY",
+            "failed to claim interface with index 0! LIBUSB_ERROR_BUSY Resource busy; failed to open Kinect v2: @2:5",
             CameraError::Busy,
         ),
         (

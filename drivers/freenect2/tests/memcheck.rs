@@ -63,6 +63,7 @@ fn use_a_camera() {
             ..AnsweredCamera::default()
         },
         open_error: String::new(),
+        list_error: String::new(),
     };
     let unit = Unit::plug("memcheck", answers);
     let options = LiveOptions {

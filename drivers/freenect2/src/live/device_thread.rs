@@ -85,8 +85,11 @@ impl DeviceThread {
         let found = context.serials()?;
         match &self.serial {
             Some(serial) if found.contains(serial) => Ok(serial.clone()),
-            Some(_) => Err(CameraError::Disconnected),
-            None => found.into_iter().next().ok_or(CameraError::Disconnected),
+            Some(_) => Err(context.why_missing()),
+            None => found
+                .into_iter()
+                .next()
+                .ok_or_else(|| context.why_missing()),
         }
     }
 

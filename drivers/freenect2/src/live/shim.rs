@@ -87,6 +87,14 @@ impl Context {
         Ok((0..n_devices).filter_map(serial).collect())
     }
 
+    /// Why a device was not among those that were just listed: the library leaves out what it cannot open.
+    pub fn why_missing(&self) -> CameraError {
+        match last_error(self.library, "devices cannot be listed") {
+            denied @ (CameraError::PermissionDenied | CameraError::Busy) => denied,
+            _ => CameraError::Disconnected,
+        }
+    }
+
     /// Opens a device and starts depth; packets go to `slot`.
     pub fn stream(&self, serial: &str, slot: Arc<PacketSlot>) -> Result<Stream<'_>, CameraError> {
         let library = self.library;
@@ -229,7 +237,7 @@ fn read_text(write: impl FnOnce(*mut c_char, usize) -> f2shim_status) -> Option<
     (status == F2SHIM_OK).then(|| text.to_string_lossy().into_owned())
 }
 
-/// What the library said last, as an error that a caller can act on.
+/// What the library has said of the call, as an error that a caller can act on.
 fn last_error(library: Library, what: &str) -> CameraError {
     let text = read_text(|buffer, capacity| {
         // SAFETY: the buffer has that capacity.

@@ -51,6 +51,7 @@ pub fn answers() -> Answers {
             p2,
         },
         open_error: String::new(),
+        list_error: String::new(),
     }
 }
 
