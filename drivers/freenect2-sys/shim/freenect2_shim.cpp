@@ -105,8 +105,9 @@ namespace {
 
 f2shim_status context_create(f2shim_context **out) {
     return guarded([&] {
-        // The library takes the logger over.
-        libfreenect2::setGlobalLogger(new ErrorKeeper());
+        // The library takes the logger over. Replacing it would free it while threads of other contexts log.
+        static std::once_flag once;
+        std::call_once(once, [] { libfreenect2::setGlobalLogger(new ErrorKeeper()); });
         *out = new f2shim_context();
         return F2SHIM_OK;
     });
