@@ -81,7 +81,7 @@ typedef struct f2shim_api {
      * small. */
     f2shim_status (*device_p0_tables)(f2shim_device *device, uint8_t *buffer, size_t capacity, size_t *length);
     /* The errors that were logged since the last enumerate, device_open or device_start began, the first of them first,
-     * zero-terminated and cut to `capacity`, into the caller's `buffer`. */
+     * zero-terminated and cut to `capacity`, into the caller's `buffer`. May be called from any thread. */
     f2shim_status (*last_error)(char *buffer, size_t capacity);
 } f2shim_api;
 

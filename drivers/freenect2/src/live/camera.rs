@@ -15,7 +15,7 @@ use udev_monitor::{Action, UsbMonitor};
 use super::{
     device_thread::{DeviceThread, Reopen, Report},
     listening::Listening,
-    shim::Library,
+    shim::{self, Library},
     slot::{PacketCounts, PacketSlot, Stamped},
 };
 use crate::{
@@ -67,11 +67,12 @@ impl Default for LiveOptions {
 /// A live Kinect II.
 ///
 /// `grab` decodes the newest packet; older ones that nobody took are left out, and `frame_id` counts them and those that were
-/// lost. Silence, some seconds without a good packet, or udev's word that the device has gone, ends in one
-/// [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab` gives [`CameraError::Timeout`] until
+/// lost. A device that sends nothing at all once it is open ends in [`CameraError::Unresponsive`]. Silence after that, some seconds
+/// without a good packet, or udev's word that the device has gone, ends in one [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab` gives [`CameraError::Timeout`] until
 /// it is back, and the stream goes on with higher `frame_id`s and later times.
 #[derive(Debug)]
 pub struct Freenect2Camera {
+    library: Library,
     info: CameraInfo,
     record: DeviceRecord,
     options: LiveOptions,
@@ -121,6 +122,7 @@ impl Freenect2Camera {
             report => report?,
         };
         Ok(Freenect2Camera {
+            library,
             info: frames::camera_info(&record.serial, &record.ir_parameters, None),
             decoder: decoder_of(&record, options.decoder)?,
             record,
@@ -197,19 +199,32 @@ impl Freenect2Camera {
         is_taken
     }
 
-    /// Whether the device counts as unplugged, by udev's word or by what comes from it: bad packets are a sign of life for a while.
-    fn is_gone(&mut self) -> bool {
+    /// Gives the device up and has it looked for if it counts as unplugged, by udev's word or by what comes from it: bad packets are a
+    /// sign of life for a while.
+    fn give_up(&mut self) -> Result<(), CameraError> {
         let is_removed = self.heard() == Some(Action::Removed);
         let (heard, now) = (self.slot.heard(), Instant::now());
         let is_silent = |listening: Listening| listening.is_gone(now, heard, &self.options);
-        is_removed || self.listening.is_none_or(is_silent)
-    }
-
-    /// Gives the device up and has it looked for.
-    fn disconnect(&mut self) -> CameraError {
+        if !is_removed && !self.listening.is_none_or(is_silent) {
+            return Ok(());
+        }
         self.listening = None;
         self.look_for_device();
-        CameraError::Disconnected
+        match heard.any {
+            None if !is_removed => Err(self.never_heard()),
+            _ => Err(CameraError::Disconnected),
+        }
+    }
+
+    /// Says that nothing has come since the device was opened, and what the library makes of that.
+    fn never_heard(&self) -> CameraError {
+        let secs = self.options.first_packet_timeout.as_secs_f64();
+        let mut what = format!("no packet within {secs} s of the start");
+        let errors = shim::errors(self.library);
+        if !errors.is_empty() {
+            what = format!("{what}: {errors}");
+        }
+        CameraError::Unresponsive(what)
     }
 
     fn look_for_device(&self) {
@@ -248,9 +263,7 @@ impl DepthCamera for Freenect2Camera {
             self.wait_for_return(timeout)?;
         }
         while !self.take(deadline.min(Instant::now() + LISTEN_INTERVAL)) {
-            if self.is_gone() {
-                return Err(self.disconnect());
-            }
+            self.give_up()?;
             if Instant::now() >= deadline {
                 return Err(CameraError::Timeout { waited: timeout });
             }

@@ -237,13 +237,18 @@ fn read_text(write: impl FnOnce(*mut c_char, usize) -> f2shim_status) -> Option<
     (status == F2SHIM_OK).then(|| text.to_string_lossy().into_owned())
 }
 
-/// What the library has said of the call, as an error that a caller can act on.
-fn last_error(library: Library, what: &str) -> CameraError {
+/// The errors that a library has logged since the newest call that may fail began; empty without any.
+pub(super) fn errors(library: Library) -> String {
     let text = read_text(|buffer, capacity| {
         // SAFETY: the buffer has that capacity.
         unsafe { call!(library, last_error(buffer, capacity)) }
     });
-    let text = text.unwrap_or_default();
+    text.unwrap_or_default()
+}
+
+/// What the library has said of the call, as an error that a caller can act on.
+fn last_error(library: Library, what: &str) -> CameraError {
+    let text = errors(library);
     if text.contains("LIBUSB_ERROR_ACCESS") {
         CameraError::PermissionDenied
     } else if text.contains("LIBUSB_ERROR_BUSY") {
