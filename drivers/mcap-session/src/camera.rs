@@ -43,6 +43,28 @@ struct Moment {
     infrared: Option<PendingImage>,
 }
 
+/// Images of one chunk that are not played, by topic: how many, and what is wrong with the first.
+#[derive(Default)]
+struct Lost(BTreeMap<String, (usize, String)>);
+
+impl Lost {
+    /// Counts an image of a topic; `what` says what is wrong with it.
+    fn add(&mut self, topic: &str, what: impl FnOnce() -> String) {
+        match self.0.get_mut(topic) {
+            Some((n, _)) => *n += 1,
+            None => drop(self.0.insert(topic.to_owned(), (1, what()))),
+        }
+    }
+
+    /// One sentence for each topic.
+    fn told(self) -> impl Iterator<Item = String> {
+        self.0.into_iter().map(|(topic, (n, what))| match n {
+            1 => format!("{topic}: {what}"),
+            n => format!("{topic}: {what}; {} more of the chunk are lost", n - 1),
+        })
+    }
+}
+
 /// A recording played from its start to its end: one of Relief exactly as it was recorded, another bag as far as its topics tell.
 ///
 /// `frame_id` is that of the recording; in other bags it counts the moments from 0. What is damaged costs its own frames.
@@ -126,14 +148,14 @@ impl McapCamera {
     fn read_on(&mut self) -> Result<(), RecordingError> {
         let (plan, pending) = (&self.plan, &mut self.pending);
         let (bytes, newest) = (&mut self.n_pending_bytes, &mut self.newest);
-        let damages = &mut self.damages;
+        let mut lost = Lost::default();
         let step = self.reader.step(|channel, message| {
             let Some(kind) = plan.kind_of(&channel.topic) else {
                 return;
             };
             let stamp = match stamp_of(message.data) {
                 Ok(stamp) => stamp,
-                Err(error) => return damages.push_back(format!("{}: {error}", channel.topic)),
+                Err(error) => return lost.add(&channel.topic, || error.to_string()),
             };
             let image = PendingImage {
                 sequence: message.header.sequence,
@@ -145,8 +167,15 @@ impl McapCamera {
             *newest = (*newest).max(Some(stamp));
             if let Some(twin) = pending.insert((stamp, kind), image) {
                 *bytes -= twin.message.len();
+                lost.add(&channel.topic, || {
+                    format!(
+                        "an image of {:.9} s, which a later one has too",
+                        stamp.secs()
+                    )
+                });
             }
         })?;
+        self.damages.extend(lost.told());
         match step {
             Step::Read => {}
             Step::Damaged(what) => self.damages.push_back(what),

@@ -152,6 +152,33 @@ fn a_kinect2_node_gives_millimetres_and_its_emitter() {
 }
 
 #[test]
+fn images_of_one_time_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let depth = |time_ns| image("/k2/sd/image_depth", Encoding::U16, KINECT2, time_ns, 900);
+    let entries = [
+        info("/k2/sd/camera_info", KINECT2, vec![]),
+        depth(0),
+        depth(0),
+        depth(0),
+        depth(1_500_000_000),
+        depth(1_500_000_000),
+    ];
+    let path = write_bag(folder.path(), zstd(), &entries);
+    let played = play(&path).unwrap();
+    assert_eq!(played.frames.len(), 2);
+    // The bag's writer puts two images into a chunk.
+    let expected = [
+        "an image of 0.000000000 s, which a later one has too; 1 more of the chunk are lost",
+        "an image of 1.500000000 s, which a later one has too",
+    ];
+    let path = path.display();
+    assert_eq!(
+        played.damages,
+        expected.map(|what| format!("{path}: /k2/sd/image_depth: {what}"))
+    );
+}
+
+#[test]
 fn rectified_images_have_the_rectified_camera() {
     let folder = tempfile::tempdir().unwrap();
     let entries = [
