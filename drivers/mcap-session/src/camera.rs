@@ -28,6 +28,8 @@ const SAME_MOMENT_NS: i64 = (SAME_MOMENT_SECS * 1e9) as i64;
 /// Images that wait for their place, at most; more are of a file whose times make no sense.
 const MAX_PENDING: usize = 512;
 const MAX_PENDING_BYTES: usize = 256 << 20;
+/// So many at most with those of the chunk that is read, before any finds its place: two minutes of both streams in one chunk.
+const MAX_WITH_CHUNK: usize = 1 << 13;
 
 /// An image message that waits for its place.
 struct PendingImage {
@@ -157,6 +159,10 @@ impl McapCamera {
                 Ok(stamp) => stamp,
                 Err(error) => return lost.add(&channel.topic, || error.to_string()),
             };
+            if pending.len() >= MAX_WITH_CHUNK {
+                let what = || format!("more than {MAX_WITH_CHUNK} images wait for their place");
+                return lost.add(&channel.topic, what);
+            }
             let image = PendingImage {
                 sequence: message.header.sequence,
                 // A segment may have lost what its messages are.

@@ -179,6 +179,25 @@ fn images_of_one_time_are_told_of() {
 }
 
 #[test]
+fn a_chunk_of_more_messages_than_it_can_hold_images_fills_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let depth = |size, time_ns| image("/k2/sd/image_depth", Encoding::U16, size, time_ns, 900);
+    let mut entries = vec![
+        info("/k2/sd/camera_info", KINECT2, vec![]),
+        depth(KINECT2, 0),
+    ];
+    // All but five have room.
+    entries.extend((1..(1 << 13) + 5).map(|n| depth((1, 1), n)));
+    let options = zstd().chunk_size(Some(64 << 20));
+    let path = write_bag(folder.path(), options, &entries);
+    let damages = play(&path).unwrap().damages;
+    let is_told = |damage: &&String| {
+        damage.ends_with("more than 8192 images wait for their place; 4 more of the chunk are lost")
+    };
+    assert_eq!(damages.iter().filter(is_told).count(), 1);
+}
+
+#[test]
 fn rectified_images_have_the_rectified_camera() {
     let folder = tempfile::tempdir().unwrap();
     let entries = [
