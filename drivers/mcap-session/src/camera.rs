@@ -193,7 +193,7 @@ impl McapCamera {
 
     /// The oldest moment, once nothing that belongs before or into it can come any more.
     fn next_moment(&mut self) -> Option<Moment> {
-        let (&(oldest, kind), _) = self.pending.first_key_value()?;
+        let (&(oldest, kind), oldest_image) = self.pending.first_key_value()?;
         let lateness = self.newest.map_or(0, |newest| newest.0 - oldest.0);
         let is_settled = self.has_ended
             || lateness > MAX_LATENESS_NS
@@ -207,8 +207,11 @@ impl McapCamera {
             Kind::Infrared => Kind::Depth,
         };
         let reach = Stamp(oldest.0.saturating_add(SAME_MOMENT_NS));
+        let sequence = oldest_image.sequence;
+        // Where images are numbered, two of one moment that belong to two frames were recorded apart.
+        let is_same = |image: &PendingImage| !self.plan.is_numbered || image.sequence == sequence;
         let mut near = self.pending.range((oldest, kind)..=(reach, Kind::Infrared));
-        let partner = near.find(|((_, kind), _)| *kind == other);
+        let partner = near.find(|((_, kind), image)| *kind == other && is_same(image));
         let partner = partner.map(|(&key, _)| key);
 
         let first = self.take((oldest, kind));

@@ -133,6 +133,37 @@ fn infrared_that_comes_late_finds_its_frame() {
 }
 
 #[test]
+fn images_of_two_frames_within_ten_milliseconds_stay_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a");
+    let info = camera_info(20, 16);
+    let apart = [
+        Frame {
+            ir: None,
+            ..frame(&info, 0)
+        },
+        // Depth is stopped, and infrared goes by the host's clock.
+        Frame {
+            depth: None,
+            device_time_secs: 1000.004,
+            ..frame(&info, 1)
+        },
+        frame(&info, 2),
+    ];
+    let mut writer = SegmentWriter::create(&path, &info, params()).unwrap();
+    for frame in &apart {
+        writer.write(frame).unwrap();
+    }
+    writer.finish().unwrap();
+    let played = play(&path).unwrap();
+    assert_eq!(played.damages, Vec::<String>::new());
+    assert_eq!(played.frames.len(), 3);
+    for (found, expected) in played.frames.iter().zip(&apart) {
+        assert_same(found, expected);
+    }
+}
+
+#[test]
 fn a_recording_and_the_folder_it_was_made_from_replay_the_same() {
     for sensor in [Sensor::Kinect1, Sensor::Kinect2] {
         let folder = tempfile::tempdir().unwrap();
