@@ -354,7 +354,8 @@ fn measured(metres: f32) -> f32 {
     }
 }
 
-/// Mends a recording that was left open; one on a disk that cannot be written to is read as it is.
+/// Mends a recording that was left open; one on a disk that cannot be written to is read as it is, and so is one with chunks that are
+/// not read here, of which the reader tells.
 fn make_whole(folder: &Path) -> Result<(), RecordingError> {
     if OpenLock::is_held(folder) {
         return Err(RecordingError::InUse(folder.to_owned()));
@@ -363,7 +364,10 @@ fn make_whole(folder: &Path) -> Result<(), RecordingError> {
         return Ok(());
     }
     match repair::repair(folder) {
-        Ok(_) | Err(RecordingError::Write(WriteError::Io { .. })) => Ok(()),
+        Ok(_)
+        | Err(RecordingError::Write(WriteError::Io { .. }) | RecordingError::Invalid { .. }) => {
+            Ok(())
+        }
         Err(error) => Err(error),
     }
 }

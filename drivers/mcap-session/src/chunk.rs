@@ -1,5 +1,7 @@
 //! One chunk as it lies in a file: whether its lengths agree, and its records, decompressed and checked.
 
+use std::io::Read;
+
 use mcap::records::{ChunkHeader, op};
 
 /// Opcode and length of any record.
@@ -8,10 +10,17 @@ pub const HEAD: u64 = 9;
 pub const MAX_CHUNK_BYTES: u64 = 128 << 20;
 /// Start and end time, size, checksum, length of the compression's name, compressed size.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
+/// A compression of other programs.
+const LZ4: &str = "lz4";
 /// The longest name of a compression that is looked for among bytes that are no records.
 const MAX_COMPRESSION_NAME: usize = 4;
 /// So many bytes are enough for [`Chunk::begins`].
 pub const MAX_CHUNK_HEAD: usize = HEAD as usize + CHUNK_HEADER + MAX_COMPRESSION_NAME;
+
+/// Says of a chunk that it is passed by as it is.
+pub fn not_read(what: &str) -> String {
+    format!("a chunk is not read: {what}")
+}
 
 /// A chunk as it lies in the file.
 #[derive(Debug)]
@@ -44,18 +53,55 @@ impl Chunk {
                 header.compressed_size
             ));
         }
-        if header.uncompressed_size > MAX_CHUNK_BYTES {
-            return Err(format!(
-                "a chunk of {} bytes when decompressed, must be at most {MAX_CHUNK_BYTES}",
-                header.uncompressed_size
-            ));
-        }
-        Ok(Chunk {
+        let chunk = Chunk {
             offset,
             length: HEAD + n_bytes as u64,
             header,
             data,
-        })
+        };
+        match chunk.is_too_large() && !chunk.streams_whole() {
+            true => Err(format!("a chunk of {}", chunk.size_and_limit())),
+            false => Ok(chunk),
+        }
+    }
+
+    /// Why its records are not read though it may well be whole; `None` for one that is read.
+    pub fn unread(&self) -> Option<String> {
+        match self.header.compression.as_str() {
+            LZ4 => Some(format!("compression \"{LZ4}\", must be zstd or none")),
+            _ => self.is_too_large().then(|| self.size_and_limit()),
+        }
+    }
+
+    fn is_too_large(&self) -> bool {
+        self.header.uncompressed_size > MAX_CHUNK_BYTES
+    }
+
+    fn size_and_limit(&self) -> String {
+        let size = self.header.uncompressed_size;
+        format!("{size} bytes when decompressed, must be at most {MAX_CHUNK_BYTES}")
+    }
+
+    /// Whether it decompresses to as many bytes as it says, of the checksum that it says; none of them are kept.
+    fn streams_whole(&self) -> bool {
+        let Ok(decoder) = zstd::Decoder::new(self.data.as_slice()) else {
+            return false;
+        };
+        let mut left = decoder.take(self.header.uncompressed_size.saturating_add(1));
+        let (mut size, mut hash) = (0, crc32fast::Hasher::new());
+        let mut bytes = vec![0; 1 << 16];
+        loop {
+            match left.read(&mut bytes) {
+                Ok(0) => break,
+                Ok(n) => {
+                    hash.update(&bytes[..n]);
+                    size += n as u64;
+                }
+                Err(_) => return false,
+            }
+        }
+        let saved = self.header.uncompressed_crc;
+        size == self.header.uncompressed_size && (saved == 0 || hash.finalize() == saved)
     }
 
     /// The records in the chunk, decompressed and checked.
@@ -86,8 +132,8 @@ impl Chunk {
         Ok(records)
     }
 
-    /// Whether bytes begin a chunk of at most `left` bytes whose lengths agree; sixty bits or more must be right by chance
-    /// otherwise.
+    /// Whether bytes begin a chunk of at most `left` bytes whose lengths agree, be it read or not; sixty bits or more must be right by
+    /// chance otherwise.
     pub fn begins(bytes: &[u8], left: u64) -> bool {
         if bytes.first() != Some(&op::CHUNK) {
             return false;
@@ -104,18 +150,15 @@ impl Chunk {
                 false => None,
             }
         };
-        let (Some(body), Some(uncompressed), Some(name)) = (number(1), number(25), compression(37))
-        else {
+        let (Some(body), Some(name)) = (number(1), compression(37)) else {
             return false;
         };
         let Some(compressed) = number(41 + name.len()) else {
             return false;
         };
         let header = (CHUNK_HEADER + name.len()) as u64;
-        let fits = body <= left.saturating_sub(HEAD)
-            && body <= MAX_CHUNK_BYTES
-            && uncompressed <= MAX_CHUNK_BYTES;
-        fits && compressed.checked_add(header) == Some(body)
-            && matches!(name, b"" | b"zstd" | b"lz4")
+        body <= left.saturating_sub(HEAD)
+            && compressed.checked_add(header) == Some(body)
+            && (matches!(name, b"" | b"zstd") || name == LZ4.as_bytes())
     }
 }

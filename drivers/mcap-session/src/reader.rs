@@ -8,6 +8,7 @@ use std::{
 use mcap::records::op;
 
 use crate::{
+    chunk::not_read,
     contents::{Channel, Definitions, Message, message, read_records},
     error::{RecordingError, io_error},
     session::{SessionRecord, State},
@@ -92,6 +93,7 @@ impl MessageReader {
                 read.err()
                     .map(|what| (chunk.offset, format!("a chunk is lost: {what}")))
             }
+            Piece::Unread { offset, what } => Some((offset, not_read(&what))),
             Piece::Record {
                 opcode: op::MESSAGE,
                 body,

@@ -46,7 +46,8 @@ pub struct SegmentRepair {
 /// Mends a recording that was left open or damaged; `None` if there was nothing to do.
 ///
 /// # Errors
-/// [`RecordingError::InUse`] while it is being recorded; what the system says, or what is wrong with its `session.json`.
+/// [`RecordingError::InUse`] while it is being recorded; what the system says, or what is wrong with its `session.json`;
+/// [`RecordingError::Invalid`] for a segment with a chunk that is not read here, which is left as it is.
 pub fn repair(folder: &Path) -> Result<Option<RepairNote>, RecordingError> {
     let record = SessionRecord::read(folder)?;
     let (mut lock, n_given) = OpenLock::take_over(folder)?;
@@ -143,7 +144,7 @@ fn mend(
 /// Mends one segment of a recording of that device.
 ///
 /// # Errors
-/// What the system says.
+/// What the system says, and for a chunk that is not read here; nothing but the file's first bytes has been mended then.
 pub fn repair_segment(path: &Path, serial: &str) -> Result<SegmentRepair, RecordingError> {
     let file = OpenOptions::new().read(true).write(true).open(path);
     let mut file = file.map_err(io_error(path))?;

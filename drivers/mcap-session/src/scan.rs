@@ -11,7 +11,7 @@ use mcap::{
 };
 
 use crate::{
-    chunk::{Chunk, HEAD},
+    chunk::{Chunk, HEAD, not_read},
     contents::{Definitions, message, read_records},
     ending::check_ending,
     error::{RecordingError, io_error},
@@ -106,7 +106,8 @@ pub enum Mend {
 /// Looks through a segment.
 ///
 /// # Errors
-/// If the file cannot be read or does not begin as an MCAP file does.
+/// If the file cannot be read, does not begin as an MCAP file does, or holds a chunk that is whole as far as can be told, and not read:
+/// nothing of such a file may be taken for damage.
 pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
     let mut walk = Walk::open(path)?;
     let mut scan = Scan {
@@ -131,6 +132,10 @@ pub fn scan(path: &Path) -> Result<Scan, RecordingError> {
             } => {
                 let looked_at = scan.record(opcode, offset, &body);
                 (offset, HEAD + body.len() as u64, looked_at)
+            }
+            Piece::Unread { offset, what } => {
+                let what = format!("{offset} bytes into it {}", not_read(&what));
+                return Err(RecordingError::invalid(path, what));
             }
             Piece::PassedOver => continue,
             Piece::Gap {

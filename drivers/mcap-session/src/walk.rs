@@ -40,6 +40,13 @@ pub const PASSED_OVER: u8 = 0x80;
 pub enum Piece {
     /// A chunk whose lengths agree; its contents are not looked at yet.
     Chunk(Chunk),
+    /// A chunk that may well be whole, and is not read here.
+    Unread {
+        /// Where the record begins.
+        offset: u64,
+        /// Why it is not read.
+        what: String,
+    },
     /// Another record of the data section.
     Record {
         /// What it is.
@@ -194,6 +201,10 @@ impl Walk {
             }
             other => return Ok(Err(format!("no record of the data is of kind {other:02x}"))),
         };
+        if opcode == op::CHUNK && body > limit && self.begins_chunk(offset)? {
+            let what = format!("{body} bytes, must be at most {limit}");
+            return Ok(Ok((Piece::Unread { offset, what }, HEAD + body)));
+        }
         if body > limit {
             return Ok(Err(format!(
                 "a record of kind {opcode:02x} and {body} bytes, must be at most {limit}"
@@ -210,7 +221,11 @@ impl Walk {
         let parsed = mcap::parse_record(opcode, &body).map_err(|error| describe(opcode, &error))?;
         match parsed {
             Record::Chunk { header, data } => {
-                Chunk::new(offset, body.len(), header, data.into_owned()).map(Piece::Chunk)
+                let chunk = Chunk::new(offset, body.len(), header, data.into_owned())?;
+                Ok(match chunk.unread() {
+                    Some(what) => Piece::Unread { offset, what },
+                    None => Piece::Chunk(chunk),
+                })
             }
             Record::Header(header) if self.is_own && !is_own_header(&header, body.len()) => {
                 Err(format!(
@@ -261,14 +276,11 @@ impl Walk {
         let end = start + n_bytes;
         let mut at = start;
         while let Some(found) = self.next_chunk(at, end)? {
-            let Ok((Piece::Chunk(chunk), length)) = self.record(found)? else {
-                at = found + HEAD;
-                continue;
+            at = match self.record(found)? {
+                Ok((Piece::Chunk(chunk), length)) if chunk.records().is_err() => found + length,
+                Ok((Piece::Chunk(_) | Piece::Unread { .. }, _)) => return Ok(false),
+                _ => found + HEAD,
             };
-            if chunk.records().is_ok() {
-                return Ok(false);
-            }
-            at = found + length;
         }
         let left = self.length - end;
         if left < HEAD {
@@ -277,6 +289,15 @@ impl Walk {
         self.seek(end)?;
         let [opcode, length @ ..] = self.head()?;
         Ok(is_written(opcode, end) && u64::from_le_bytes(length) <= left - HEAD)
+    }
+
+    /// Whether the lengths of a chunk agree that is said to begin at `offset`.
+    fn begins_chunk(&mut self, offset: u64) -> io::Result<bool> {
+        self.seek(offset)?;
+        let mut head = Vec::with_capacity(MAX_CHUNK_HEAD);
+        let file = &mut self.file;
+        file.take(MAX_CHUNK_HEAD as u64).read_to_end(&mut head)?;
+        Ok(Chunk::begins(&head, self.length - offset))
     }
 
     /// Opcode and length of the record that follows.

@@ -201,6 +201,77 @@ fn a_description_that_is_damaged_is_found_and_refused() {
     assert!(error.contains(SESSION_FILE_NAME), "{error}");
 }
 
+/// A chunk of such contents as another program compresses it.
+fn chunk(compression: &str, n_uncompressed: u64, crc: u32, data: &[u8]) -> Vec<u8> {
+    let mut body = [0; 16].to_vec();
+    body.extend(n_uncompressed.to_le_bytes());
+    body.extend(crc.to_le_bytes());
+    body.extend((compression.len() as u32).to_le_bytes());
+    body.extend(compression.as_bytes());
+    body.extend((data.len() as u64).to_le_bytes());
+    body.extend(data);
+    let length = body.len() as u64;
+    [&[6][..], &length.to_le_bytes(), &body].concat()
+}
+
+#[test]
+fn a_segment_with_a_chunk_that_is_not_read_is_left_as_it_is() {
+    let original = Original::new();
+    let (start, end) = original.chunks[3];
+    let n_large = (128 << 20) + 1;
+    let large = vec![0; n_large];
+    let crc = crc32fast::hash(&large);
+    let packed = zstd::bulk::compress(&large, 1).unwrap();
+    let too_large = "134217729 bytes when decompressed, must be at most 134217728";
+    for (unread, expected) in [
+        (
+            chunk("lz4", 1000, 0, &[7; 300]),
+            "compression \"lz4\", must be zstd or none",
+        ),
+        (chunk("zstd", n_large as u64, crc, &packed), too_large),
+        (
+            chunk("", n_large as u64, crc, &large),
+            "134217769 bytes, must be at most 134217728",
+        ),
+    ] {
+        let expected =
+            format!("segment-0000.mcap: {start} bytes into it a chunk is not read: {expected}");
+        let with_unread = [&original.bytes[..start], &unread, &original.bytes[end..]].concat();
+        // Alone among chunks that are damaged, and with what lies behind it torn off.
+        let mut alone = with_unread.clone();
+        for (start, end) in &original.chunks[..3] {
+            alone[start + 60..*end].fill(0);
+        }
+        alone.truncate(start + unread.len());
+        for bytes in [&with_unread, &alone] {
+            for state in [State::Open, State::Closed] {
+                let folder = original.with_bytes(bytes, state);
+                let error = repair(&folder).unwrap_err().to_string();
+                assert!(error.ends_with(&expected), "{error}");
+                assert!(fs::read(first_segment(&folder)).unwrap() == *bytes);
+            }
+        }
+        for state in [State::Open, State::Closed] {
+            let played = play(&original.with_bytes(&with_unread, state)).unwrap();
+            assert_eq!(played.frames.len() as u64, N_FRAMES - FRAMES_PER_CHUNK);
+            let told = &played.damages[0];
+            assert!(told.ends_with(&expected), "{told}");
+            assert_as_recorded(&original.info, &played.frames);
+        }
+        let folder = original.with_bytes(&with_unread, State::Closed);
+        let reports = verify(&folder).unwrap();
+        let told = &reports[0].problems;
+        assert!(told.len() == 1 && expected.ends_with(&told[0]), "{told:?}");
+    }
+    // Of which not so many bytes come is damaged.
+    let damaged = chunk("zstd", n_large as u64 + 1, crc, &packed);
+    let bytes = [&original.bytes[..start], &damaged, &original.bytes[end..]].concat();
+    let folder = original.with_bytes(&bytes, State::Closed);
+    let note = repair(&folder).unwrap().unwrap();
+    assert_eq!(note.frames_recovered, N_FRAMES - FRAMES_PER_CHUNK);
+    assert_eq!(n_problems(&folder), 0);
+}
+
 #[test]
 fn random_damage_is_read_or_refused() {
     let original = Original::new();
