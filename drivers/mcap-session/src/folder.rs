@@ -2,6 +2,7 @@
 
 use std::{
     fs::{self, File},
+    io,
     path::{Path, PathBuf},
 };
 
@@ -45,18 +46,19 @@ pub fn files(path: &Path) -> Result<Vec<PathBuf>, RecordingError> {
 /// How deep recordings are looked for: `sessions/<id>/recording` of a data directory.
 const DEPTH: usize = 3;
 
-/// The folders of all recordings of Relief in a folder and a few levels beneath it, by path; links are not followed.
+/// The folders of all recordings of Relief in a folder and a few levels beneath it, by path; links are not followed. A folder beneath
+/// it that cannot be read may be one, or hold some, and is among them: whoever reads it is told why that fails.
 ///
 /// # Errors
-/// If a folder cannot be read, naming it.
+/// If the folder itself cannot be read.
 pub fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let mut found = Vec::new();
-    look_in(folder, DEPTH, &mut found)?;
+    look_in(folder, DEPTH, &mut found).map_err(io_error(folder))?;
     found.sort();
     Ok(found)
 }
 
-fn look_in(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), RecordingError> {
+fn look_in(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) -> io::Result<()> {
     if folder.join(session::FILE_NAME).is_file() {
         found.push(folder.to_owned());
         return Ok(());
@@ -64,10 +66,16 @@ fn look_in(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), 
     if depth == 0 {
         return Ok(());
     }
-    for entry in fs::read_dir(folder).map_err(io_error(folder))? {
-        let entry = entry.map_err(io_error(folder))?;
-        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
-            look_in(&entry.path(), depth - 1, found)?;
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if !entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            continue;
+        }
+        match look_in(&entry.path(), depth - 1, found) {
+            Ok(()) => {}
+            // It was removed meanwhile.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(_) => found.push(entry.path()),
         }
     }
     Ok(())
@@ -146,6 +154,34 @@ fn is_mcap(path: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::repair;
+    use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn a_folder_that_cannot_be_read_hides_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let [closed, recording] = ["closed", "recording"].map(|name| folder.path().join(name));
+        for path in [&closed, &recording] {
+            fs::create_dir(path).unwrap();
+        }
+        fs::write(recording.join(session::FILE_NAME), "").unwrap();
+        let none = fs::Permissions::from_mode(0);
+        fs::set_permissions(&closed, none).unwrap();
+        if fs::read_dir(&closed).is_ok() {
+            println!("skipped: this user may read every folder");
+            return;
+        }
+        let found = recordings_in(folder.path()).unwrap();
+        assert_eq!(found, [closed.clone(), recording]);
+        let error = recordings_in(&closed).unwrap_err().to_string();
+        assert!(error.contains("closed"), "{error}");
+        assert!(
+            repair::abandoned_in(folder.path())
+                .unwrap()
+                .contains(&closed)
+        );
+        assert!(repair::repair(&closed).is_err());
+    }
 
     #[test]
     fn files_of_a_bag_are_in_the_order_in_which_they_were_written() {
