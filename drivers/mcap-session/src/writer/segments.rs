@@ -68,6 +68,7 @@ impl SegmentWriter {
         Err(stopped)
     }
 
+    /// Begins the next segment; a failure ends the recording.
     pub(super) fn begin_segment(&mut self) -> Result<(), RecordingError> {
         let name = segment_name(self.finished.len());
         let path = self.folder.join(&name);
@@ -76,7 +77,8 @@ impl SegmentWriter {
             let file = out.try_clone()?;
             Ok((Segment::create(out, &self.info.serial)?, file))
         };
-        let (segment, file) = begin().map_err(io_error(&path))?;
+        let begun = begin().map_err(io_error(&path));
+        let (segment, file) = begun.map_err(|error| self.failed(error))?;
         let now = Instant::now();
         self.open = Some(OpenSegment {
             segment,
@@ -88,10 +90,10 @@ impl SegmentWriter {
             synced: now,
         });
         self.describe()?;
-        sync_folder(&self.folder)
+        sync_folder(&self.folder).map_err(|error| self.failed(error))
     }
 
-    /// Ends the segment that is open; what the folder says of itself includes it from then on.
+    /// Ends the segment that is open; what the folder says of itself includes it from then on. A failure ends the recording.
     pub(super) fn end_segment(&mut self) -> Result<(), RecordingError> {
         if self.open.is_none() {
             return Ok(());
@@ -106,23 +108,26 @@ impl SegmentWriter {
             open.file.sync_all()?;
             Ok((summary, open.file.metadata()?.len()))
         };
-        let (summary, bytes) = end().map_err(io_error(&open.path))?;
+        let ended = end().map_err(io_error(&open.path));
+        let (summary, bytes) = ended.map_err(|error| self.failed(error))?;
         self.finished.push((open.name, summary));
         self.finished_bytes += bytes;
         self.record.counters.bytes = self.finished_bytes;
-        bag_metadata::write(&self.folder, &self.finished)?;
-        self.record.write(&self.folder)
+        let written = bag_metadata::write(&self.folder, &self.finished);
+        let written = written.and_then(|()| self.record.write(&self.folder));
+        written.map_err(|error| self.failed(error))
     }
 
     pub(super) fn close(&mut self, stopped_because: Option<String>) -> Result<(), RecordingError> {
         self.end_segment()?;
         self.record.state = State::Closed;
         self.record.stopped_because = stopped_because;
-        self.record.write(&self.folder)?;
+        let written = self.record.write(&self.folder);
+        written.map_err(|error| self.failed(error))?;
         self.lock.remove()
     }
 
-    /// Does something with the open segment; a failure ends the recording, and what is whole of it is kept.
+    /// Does something with the open segment; a failure ends the recording.
     pub(super) fn in_segment<T>(
         &mut self,
         act: impl FnOnce(&mut OpenSegment) -> io::Result<T>,
@@ -131,17 +136,20 @@ impl SegmentWriter {
             return Err(self.ended());
         };
         let path = open.path.clone();
-        act(open).map_err(|error| {
-            let error = io_error(&path)(error);
-            self.open = None;
-            // Where even that fails, the next to open the recording tries again.
-            if let Ok(mended) = repair::repair_held(&self.folder, &mut self.lock) {
-                self.record = mended;
-                self.record.stopped_because = Some(error.to_string());
-                // Without a word of why it ended it is whole all the same.
-                let _ = self.record.write(&self.folder);
-            }
-            error
-        })
+        let done = act(open).map_err(io_error(&path));
+        done.map_err(|error| self.failed(error))
+    }
+
+    /// Ends the recording after a failure to write; what is whole of it is kept.
+    fn failed(&mut self, error: RecordingError) -> RecordingError {
+        self.open = None;
+        // Where even that fails, the next to open the recording tries again.
+        if let Ok(mended) = repair::repair_held(&self.folder, &mut self.lock) {
+            self.record = mended;
+            self.record.stopped_because = Some(error.to_string());
+            // Without a word of why it ended it is whole all the same.
+            let _ = self.record.write(&self.folder);
+        }
+        error
     }
 }

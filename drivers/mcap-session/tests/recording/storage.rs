@@ -135,29 +135,69 @@ fn recording_stops_before_the_disk_is_full() {
 }
 
 #[test]
-fn a_full_disk_ends_the_recording_and_keeps_what_was_written() {
+fn a_segment_that_cannot_be_begun_ends_the_recording_and_keeps_those_before() {
     let root = tempfile::tempdir().unwrap();
-    let Some(disk) = SmallDisk::mount(root.path(), 16) else {
-        return;
+    let path = root.path().join("recording");
+    let info = camera_info(20, 16);
+    let short = RecordingParams {
+        max_segment_bytes: 20_000,
+        ..params()
     };
-    let path = disk.0.join("recording");
-    let (n_frames, n_kept, error) = record_until_it_ends(&path, params());
-    let RecordingError::Write(WriteError::Io { source, .. }) = error else {
-        panic!("{error}");
-    };
-    assert_eq!(source.kind(), io::ErrorKind::StorageFull);
+    let mut writer = SegmentWriter::create(&path, &info, short).unwrap();
+    let in_the_way = path.join("segment-0001.mcap");
+    fs::create_dir(&in_the_way).unwrap();
+    let written = (0..1000).try_for_each(|frame_id| writer.write(&frame(&info, frame_id)));
+    let error = written.unwrap_err().to_string();
+    assert!(error.contains("segment-0001.mcap"), "{error}");
+    let n_kept = writer.progress().counters.frames;
     let record = SessionRecord::read(&path).unwrap();
     assert_eq!(record.state, State::Repaired);
-    let why = record.stopped_because.unwrap();
-    assert!(why.contains("No space left on device"), "{why}");
+    assert_eq!(record.stopped_because, Some(error));
+    assert_eq!(record.counters.frames, n_kept);
+    assert!(!path.join("open.lock").exists());
     let played = play(&path).unwrap();
-    assert_as_recorded(&camera_info(256, 212), &played.frames);
-    let note = record.repair.unwrap();
-    assert_eq!(played.frames.len() as u64, note.frames_recovered);
-    assert_eq!(note.frames_recovered, n_kept);
-    println!("{n_frames} frames, then the disk was full; {note:?}");
-    assert!(note.frames_recovered + 1 >= n_frames, "{note:?}");
-    assert_eq!(verify(&path).unwrap()[0].problems, Vec::<String>::new());
+    assert_eq!(
+        (played.frames.len() as u64, played.damages.len()),
+        (n_kept, 0)
+    );
+    assert_as_recorded(&info, &played.frames);
+    let again = writer.write(&frame(&info, 1000)).unwrap_err();
+    assert!(matches!(again, RecordingError::Ended(_)), "{again}");
+}
+
+#[test]
+fn a_full_disk_ends_the_recording_and_keeps_what_was_written() {
+    // In segments of one to four frames, so that it is full at the end of one, and in one that never ends.
+    for max_segment_bytes in [1, 150_000, 220_000, 290_000, u64::MAX] {
+        let root = tempfile::tempdir().unwrap();
+        let Some(disk) = SmallDisk::mount(root.path(), 16) else {
+            return;
+        };
+        let path = disk.0.join("recording");
+        let params = RecordingParams {
+            max_segment_bytes,
+            ..params()
+        };
+        let (n_frames, n_kept, error) = record_until_it_ends(&path, params);
+        let RecordingError::Write(WriteError::Io { source, .. }) = error else {
+            panic!("{error}");
+        };
+        assert_eq!(source.kind(), io::ErrorKind::StorageFull);
+        let record = SessionRecord::read(&path).unwrap();
+        assert_eq!(record.state, State::Repaired);
+        let why = record.stopped_because.unwrap();
+        assert!(why.contains("No space left on device"), "{why}");
+        let played = play(&path).unwrap();
+        assert_as_recorded(&camera_info(256, 212), &played.frames);
+        let note = record.repair.unwrap();
+        assert_eq!(played.frames.len() as u64, note.frames_recovered);
+        assert_eq!(note.frames_recovered, n_kept);
+        println!("{n_frames} frames, then the disk was full: {why}; {note:?}");
+        assert!(note.frames_recovered + 1 >= n_frames, "{note:?}");
+        for report in verify(&path).unwrap() {
+            assert_eq!(report.problems, Vec::<String>::new());
+        }
+    }
 }
 
 #[test]
