@@ -105,6 +105,11 @@ pub fn record(args: &RecordArgs) -> anyhow::Result<Verdict> {
     };
     limits.check_room()?;
     let camera = devices::connect(&args.device, &params)?;
+    // What the driver was told of it is of use only to the kind of device that it is for, which is known by now.
+    let found = config::find_calibration(camera.info(), &places)?;
+    if let Some(warning) = found.of_another(camera.info()) {
+        tracing::warn!("{warning}");
+    }
     let sink = Sink::create(
         camera,
         &args.out,

@@ -157,15 +157,23 @@ fn over_shipped(
     })
 }
 
+/// Refuses a file that is named by one serial number and states another.
+pub(super) fn check_serial(path: &Path, stated: &str, serial: &str) -> Result<(), ConfigError> {
+    match stated == serial {
+        true => Ok(()),
+        false => Err(ConfigError::in_file(
+            path,
+            format!("serial is \"{stated}\", must be \"{serial}\""),
+        )),
+    }
+}
+
 impl FoundCalibration {
     fn of_serial(self, path: &Path, serial: &str) -> Result<Self, ConfigError> {
-        match &self.serial {
-            Some(stated) if stated != serial => Err(ConfigError::in_file(
-                path,
-                format!("serial is \"{stated}\", must be \"{serial}\""),
-            )),
-            _ => Ok(self),
+        if let Some(stated) = &self.serial {
+            check_serial(path, stated, serial)?;
         }
+        Ok(self)
     }
 
     /// Logs which calibration is used, and returns what the operator should know of it.
@@ -190,6 +198,16 @@ impl FoundCalibration {
         warnings
     }
 
+    /// Says whose it is, if that is another device.
+    pub fn of_another(&self, info: &CameraInfo) -> Option<String> {
+        let stranger = self.serial.as_ref();
+        let stranger = stranger.filter(|serial| **serial != info.serial)?;
+        Some(format!(
+            "{} is the calibration of the device {stranger}, this one is {}",
+            self.source, info.serial
+        ))
+    }
+
     /// What the operator should know before trusting it.
     pub fn warnings(&self, info: &CameraInfo) -> Vec<String> {
         let kind = info.sensor.name();
@@ -202,17 +220,7 @@ impl FoundCalibration {
                 )];
             }
         };
-        let mut warnings = Vec::new();
-        let stranger = self
-            .serial
-            .as_ref()
-            .filter(|serial| **serial != info.serial);
-        if let Some(serial) = stranger {
-            warnings.push(format!(
-                "{path} is the calibration of the device {serial}, this one is {}",
-                info.serial
-            ));
-        }
+        let mut warnings: Vec<String> = self.of_another(info).into_iter().collect();
         let shipped = self.origins.iter();
         let shipped = shipped.filter(|(_, origin)| **origin == KeyOrigin::Shipped);
         let shipped: Vec<&str> = shipped.map(|(key, _)| key.name()).collect();

@@ -1,6 +1,8 @@
 //! What a device's calibration says of things that its driver has to know.
 
-use super::{CalibrationPlaces, ConfigError, DeviceCalibration, calibration_path};
+use super::{
+    CalibrationPlaces, ConfigError, DeviceCalibration, calibration::check_serial, calibration_path,
+};
 use crate::{devices::DeviceParams, shading::Calibration};
 use std::{fs, path::Path};
 
@@ -8,7 +10,7 @@ use std::{fs, path::Path};
 /// go before what the configuration says.
 ///
 /// # Errors
-/// For a calibration that cannot be read or parsed.
+/// For a calibration that cannot be read or parsed, and for one named by this serial number that states another.
 pub fn params_for_device(
     serial: &str,
     places: &CalibrationPlaces,
@@ -19,7 +21,14 @@ pub fn params_for_device(
     let Some(path) = places.given.or(of_serial.as_deref()) else {
         return Ok(params.clone());
     };
-    let (ir_offset_px, lamp_position_m) = measured(path)?;
+    let Measured {
+        serial: stated,
+        ir_offset_px,
+        lamp_position_m,
+    } = measured(path)?;
+    if let (None, Some(stated)) = (places.given, &stated) {
+        check_serial(path, stated, serial)?;
+    }
     let mut params = params.clone();
     let kinect1 = &mut params.kinect1;
     kinect1.ir_offset_px = ir_offset_px.or(kinect1.ir_offset_px);
@@ -27,8 +36,13 @@ pub fn params_for_device(
     Ok(params)
 }
 
-/// Offset of the IR image (pixels) and position of the light (metres), as far as a calibration knows them.
-type Measured = (Option<[f64; 2]>, Option<[f64; 3]>);
+/// What a calibration knows of this.
+struct Measured {
+    /// The device's serial number, if the file is its own.
+    serial: Option<String>,
+    ir_offset_px: Option<[f64; 2]>,
+    lamp_position_m: Option<[f64; 3]>,
+}
 
 fn measured(path: &Path) -> Result<Measured, ConfigError> {
     let in_file = |what: String| ConfigError::in_file(path, what);
@@ -36,10 +50,18 @@ fn measured(path: &Path) -> Result<Measured, ConfigError> {
     let table: toml::Table = toml::from_str(&text).map_err(|error| in_file(error.to_string()))?;
     if table.contains_key("version") {
         let device = DeviceCalibration::from_toml(&text).map_err(in_file)?;
-        return Ok((device.ir_offset_px, device.light.position_m));
+        return Ok(Measured {
+            serial: Some(device.serial),
+            ir_offset_px: device.ir_offset_px,
+            lamp_position_m: device.light.position_m,
+        });
     }
     let calibration = Calibration::from_toml(&text).map_err(in_file)?;
-    Ok((Some(calibration.ir_offset_px), calibration.light.position_m))
+    Ok(Measured {
+        serial: None,
+        ir_offset_px: Some(calibration.ir_offset_px),
+        lamp_position_m: calibration.light.position_m,
+    })
 }
 
 #[cfg(test)]
@@ -71,6 +93,18 @@ mod tests {
         let found = params_for_device("A7", &places, &params).unwrap();
         assert_eq!(found.kinect1.ir_offset_px, Some([4.2, 3.6]));
         assert_eq!(found.kinect1.lamp_position_m, Some([0.1, 0.0, 0.0]));
+
+        // Another device's is refused under this name, not where it is asked for.
+        let renamed = calibration_path(folder.path(), "B8").unwrap();
+        fs::copy(&path, &renamed).unwrap();
+        let error = params_for_device("B8", &places, &params).unwrap_err();
+        assert_eq!(error.what, "serial is \"A7\", must be \"B8\"");
+        let given = CalibrationPlaces {
+            given: Some(&renamed),
+            ..places
+        };
+        let found = params_for_device("B8", &given, &params).unwrap();
+        assert_eq!(found.kinect1.ir_offset_px, Some([4.2, 3.6]));
 
         fs::write(&path, "serial = 7").unwrap();
         let error = params_for_device("A7", &places, &params).unwrap_err();
