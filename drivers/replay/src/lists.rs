@@ -50,29 +50,42 @@ pub fn read_list(path: &Path) -> Result<Vec<Entry>, CameraError> {
     Ok(entries)
 }
 
-/// Joins the two lists by time, in order; a moment of both carries the depth's time.
+/// Joins the two lists by time, in order; a moment of both carries the depth's time. Of several IR images within reach of a depth image
+/// the nearest belongs to it, and the others are moments of their own.
 pub fn merge_lists(depth: Vec<Entry>, ir: Vec<Entry>) -> Vec<Moment> {
     let mut moments = Vec::with_capacity(depth.len().max(ir.len()));
-    let mut depth = depth.into_iter().peekable();
     let mut ir = ir.into_iter().peekable();
-    let tolerance_secs = SAME_MOMENT_SECS + ROUNDING_SECS;
-    loop {
-        let (time_secs, apart_secs) = match (depth.peek(), ir.peek()) {
-            (Some(d), Some(i)) if d.time_secs - i.time_secs > tolerance_secs => {
-                (i.time_secs, f64::INFINITY)
-            }
-            (Some(d), Some(i)) => (d.time_secs, d.time_secs - i.time_secs),
-            (Some(d), None) => (d.time_secs, f64::NEG_INFINITY),
-            (None, Some(i)) => (i.time_secs, f64::INFINITY),
-            (None, None) => return moments,
+    for depth in depth {
+        let apart_secs = |ir: &Entry| (ir.time_secs - depth.time_secs).abs();
+        let is_near = |ir: &Entry| apart_secs(ir) <= SAME_MOMENT_SECS + ROUNDING_SECS;
+        let mut nearest: Option<Entry> = None;
+        while let Some(nearer) = ir.next_if(|ir| {
+            let is_nearer = |than: &Entry| apart_secs(ir) < apart_secs(than);
+            let is_in_time = ir.time_secs <= depth.time_secs || is_near(ir);
+            is_in_time && nearest.as_ref().is_none_or(is_nearer)
+        }) {
+            moments.extend(nearest.replace(nearer).map(infrared_alone));
+        }
+        let (partner, earlier) = match nearest {
+            Some(ir) if is_near(&ir) => (Some(ir), None),
+            earlier => (None, earlier),
         };
-        let d = depth.next_if(|_| apart_secs <= tolerance_secs);
-        let i = ir.next_if(|_| apart_secs >= -tolerance_secs);
+        moments.extend(earlier.map(infrared_alone));
         moments.push(Moment {
-            time_secs,
-            depth: d.map(|entry| entry.file_name),
-            ir: i.map(|entry| entry.file_name),
+            time_secs: depth.time_secs,
+            depth: Some(depth.file_name),
+            ir: partner.map(|entry| entry.file_name),
         });
+    }
+    moments.extend(ir.map(infrared_alone));
+    moments
+}
+
+fn infrared_alone(entry: Entry) -> Moment {
+    Moment {
+        time_secs: entry.time_secs,
+        depth: None,
+        ir: Some(entry.file_name),
     }
 }
 
@@ -164,6 +177,33 @@ mod tests {
                 (100.2, false, true),
             ]
         );
+    }
+
+    #[test]
+    fn of_several_images_within_reach_the_nearest_shares_the_moment_and_time_never_goes_back() {
+        let depth = entries(&[100.0, 100.033, 100.066], "depth");
+        let ir = [
+            99.991, 99.995, 100.003, 100.006, 100.024, 100.04, 100.042, 100.07,
+        ];
+        let moments = merge_lists(depth, entries(&ir, "ir"));
+        let found: Vec<_> = moments
+            .iter()
+            .map(|m| (m.time_secs, m.depth.is_some(), m.ir.as_deref()))
+            .collect();
+        assert_eq!(
+            found,
+            [
+                (99.991, false, Some("ir/99.991")),
+                (99.995, false, Some("ir/99.995")),
+                (100.0, true, Some("ir/100.003")),
+                (100.006, false, Some("ir/100.006")),
+                (100.024, false, Some("ir/100.024")),
+                (100.033, true, Some("ir/100.04")),
+                (100.042, false, Some("ir/100.042")),
+                (100.066, true, Some("ir/100.07")),
+            ]
+        );
+        assert!(moments.is_sorted_by(|a, b| a.time_secs < b.time_secs));
     }
 
     #[test]
