@@ -193,7 +193,7 @@ impl McapCamera {
 
     /// The oldest moment, once nothing that belongs before or into it can come any more.
     fn next_moment(&mut self) -> Option<Moment> {
-        let (&(oldest, kind), oldest_image) = self.pending.first_key_value()?;
+        let (&(oldest, kind), _) = self.pending.first_key_value()?;
         let lateness = self.newest.map_or(0, |newest| newest.0 - oldest.0);
         let is_settled = self.has_ended
             || lateness > MAX_LATENESS_NS
@@ -202,18 +202,7 @@ impl McapCamera {
         if !is_settled {
             return None;
         }
-        let other = match kind {
-            Kind::Depth => Kind::Infrared,
-            Kind::Infrared => Kind::Depth,
-        };
-        let reach = Stamp(oldest.0.saturating_add(SAME_MOMENT_NS));
-        let sequence = oldest_image.sequence;
-        // Where images are numbered, two of one moment that belong to two frames were recorded apart.
-        let is_same = |image: &PendingImage| !self.plan.is_numbered || image.sequence == sequence;
-        let mut near = self.pending.range((oldest, kind)..=(reach, Kind::Infrared));
-        let partner = near.find(|((_, kind), image)| *kind == other && is_same(image));
-        let partner = partner.map(|(&key, _)| key);
-
+        let partner = self.partner(oldest, kind);
         let first = self.take((oldest, kind));
         let second = partner.and_then(|key| self.take(key));
         let (depth, infrared) = match kind {
@@ -229,6 +218,26 @@ impl McapCamera {
             depth,
             infrared,
         })
+    }
+
+    /// The image that makes one moment with the oldest of all.
+    fn partner(&self, oldest: Stamp, kind: Kind) -> Option<(Stamp, Kind)> {
+        let sequence = self.pending.get(&(oldest, kind))?.sequence;
+        // Where images are numbered, two of one moment that belong to two frames were recorded apart.
+        let is_same = |image: &PendingImage| !self.plan.is_numbered || image.sequence == sequence;
+        let up_to = |stamp: Stamp| {
+            let reach = Stamp(stamp.0.saturating_add(SAME_MOMENT_NS));
+            self.pending.range((oldest, kind)..=(reach, Kind::Infrared))
+        };
+        let mut near = up_to(oldest);
+        let found = near.find(|((_, of), image)| *of != kind && is_same(image));
+        let (&(stamp, other), _) = found?;
+        // An IR image leaves a depth image to one that is nearer to it.
+        let apart_ns = |at: Stamp| (at.0 - stamp.0).abs();
+        let is_left = up_to(stamp).any(|((at, of), image)| {
+            *of == Kind::Infrared && apart_ns(*at) < apart_ns(oldest) && is_same(image)
+        });
+        (kind == Kind::Depth || !is_left).then_some((stamp, other))
     }
 
     fn take(&mut self, key: (Stamp, Kind)) -> Option<PendingImage> {

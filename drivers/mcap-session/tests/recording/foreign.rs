@@ -198,6 +198,51 @@ fn a_chunk_of_more_messages_than_it_can_hold_images_fills_no_memory() {
 }
 
 #[test]
+fn of_several_infrared_images_near_depth_the_nearest_goes_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let infrared = |ms: i64, value| {
+        let time_ns = ms * 1_000_000;
+        image("/k2/sd/image_ir", Encoding::U16, KINECT2, time_ns, value)
+    };
+    let depth = |ms: i64| {
+        image(
+            "/k2/sd/image_depth",
+            Encoding::U16,
+            KINECT2,
+            ms * 1_000_000,
+            9,
+        )
+    };
+    let entries = [
+        info("/k2/sd/camera_info", KINECT2, vec![]),
+        infrared(991, 1),
+        infrared(995, 2),
+        depth(1000),
+        infrared(1003, 3),
+        infrared(1006, 4),
+        depth(1033),
+    ];
+    let path = write_bag(folder.path(), zstd(), &entries);
+    let played = play(&path).unwrap();
+    assert_eq!(played.damages, Vec::<String>::new());
+    let found = played.frames.iter().map(|frame| {
+        let value = frame.ir.as_ref().map(|ir| *ir.at(0, 0));
+        let ms = (1000.0 * frame.device_time_secs).round() as u32;
+        (ms, frame.depth.is_some(), value)
+    });
+    assert_eq!(
+        found.collect::<Vec<_>>(),
+        [
+            (991, false, Some(1)),
+            (995, false, Some(2)),
+            (1000, true, Some(3)),
+            (1006, false, Some(4)),
+            (1033, true, None),
+        ]
+    );
+}
+
+#[test]
 fn rectified_images_have_the_rectified_camera() {
     let folder = tempfile::tempdir().unwrap();
     let entries = [
