@@ -195,7 +195,7 @@ pub fn refine(
         return Err(RefineError::WorseThanBase(judgement.overall));
     }
     let slow_gain = judgement.overall.slow_gain;
-    let limit = slow_gain_limit(&params.trust, prepared.told().indirect_share);
+    let limit = slow_gain_limit(&params.trust, prepared.indirect_share());
     if slow_gain > limit {
         return Err(RefineError::SlowlyContradicted { slow_gain, limit });
     }

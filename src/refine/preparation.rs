@@ -265,6 +265,11 @@ impl Preparation {
         self.base_sites.seeing()
     }
 
+    /// Share of the light that is predicted to come over other surfaces.
+    pub fn indirect_share(&self) -> f64 {
+        self.base_sites.indirect_share(&self.views)
+    }
+
     /// Mean of the object's vertices as they were fused, world frame.
     pub fn centre(&self) -> &Point3<f64> {
         &self.centre

@@ -139,8 +139,6 @@ pub struct Told {
     pub contradiction: Option<Contradiction>,
     /// Of the surface.
     pub gloss: Gloss,
-    /// Share of the light that comes over other surfaces; 0 where nothing explains the images.
-    pub indirect_share: f64,
     /// Logarithm of how much more of that light there is than by the views' white level; 0 where nothing explains the images.
     pub log_indirect: f64,
 }
@@ -165,7 +163,6 @@ pub fn told_by_images(
     let Fit {
         found,
         sigmas_with_model: sigmas,
-        indirect_share,
         ..
     } = &fit;
     let gloss = found.gloss[0];
@@ -196,7 +193,6 @@ pub fn told_by_images(
         "response and light by the images"
     );
     let is_contradicted = is_contradicted && calibration.validate().is_ok();
-    let explained = |value: f64| if is_explained { value } else { 0.0 };
     Told {
         contradiction: is_contradicted.then(|| Contradiction {
             believed_gamma: believed.gamma,
@@ -204,9 +200,12 @@ pub fn told_by_images(
             calibration,
         }),
         gloss,
-        indirect_share: explained(*indirect_share),
         // Also where response and light stay as believed: held, they leave to it what they would explain, 0.1° on `relief-k2`.
-        log_indirect: explained(found.log_indirect),
+        log_indirect: if is_explained {
+            found.log_indirect
+        } else {
+            0.0
+        },
     }
 }
 

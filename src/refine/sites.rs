@@ -192,6 +192,29 @@ impl Sites {
         }
     }
 
+    /// Share of the light that is predicted to come over other surfaces, of all that the views show.
+    pub fn indirect_share(&self, views: &[View]) -> f64 {
+        let of_view = |(k, view): (usize, &View)| {
+            let (mut indirect, mut arriving) = (0.0, 0.0);
+            let seen = self.of_view(k);
+            let points = seen.iter().map(|&site| &self.points[site as usize]);
+            Gaze::new(view).each(points, |index, look| {
+                if let Some(Sample { normal_camera, .. }) =
+                    self.sample(seen[index] as usize, view, look)
+                {
+                    indirect += normal_camera.dot(&look.indirect);
+                    arriving += normal_camera.dot(&look.arriving());
+                }
+            });
+            (indirect, arriving)
+        };
+        let sums: Vec<(f64, f64)> = views.par_iter().enumerate().map(of_view).collect();
+        let (indirect, arriving) = sums
+            .into_iter()
+            .fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
+        indirect / f64::max(arriving, f64::MIN_POSITIVE)
+    }
+
     /// Rendered against observed linear intensity, by view.
     pub fn view_errors(&self, views: &[View], albedo: &[f64]) -> Vec<ViewError> {
         views

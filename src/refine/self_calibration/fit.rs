@@ -25,6 +25,7 @@ const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
 const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
 /// Unknowns that all patches share: 1/gamma, the light's place, its lobe, the logarithm of the strength of indirect light.
 const N_LIT: usize = 6;
+const AT_LOBE: usize = N_LIT - 2;
 const AT_INDIRECT: usize = N_LIT - 1;
 /// Those of each material: strength of gloss and the logarithm of its exponent.
 const N_OF_GLOSS: usize = 2;
@@ -136,7 +137,7 @@ impl Unknowns {
         for axis in 0..3 {
             next.light.position[axis] += step[1 + axis];
         }
-        next.light.lobe_power = (next.light.lobe_power + step[4]).max(0.0);
+        next.light.lobe_power = (next.light.lobe_power + step[AT_LOBE]).max(0.0);
         next.log_indirect += step[5];
         let (least, most) = GLOSS_POWERS;
         for (material, gloss) in next.gloss.iter_mut().enumerate() {
@@ -243,6 +244,14 @@ impl Normal {
         self
     }
 
+    /// Lets an unknown stay where it is.
+    fn hold(&mut self, unknown: usize) {
+        self.jtj.row_mut(unknown).fill(0.0);
+        self.jtj.column_mut(unknown).fill(0.0);
+        self.jtj[(unknown, unknown)] = 1.0;
+        self.jtr[unknown] = 0.0;
+    }
+
     /// Share of the light that is indirect.
     fn indirect_share(&self) -> f64 {
         self.weighted_indirect / self.weight.max(f64::MIN_POSITIVE)
@@ -307,8 +316,6 @@ pub struct Fit {
     pub sigmas: Vec<f64>,
     /// The same with what the model gets wrong of all alike.
     pub sigmas_with_model: Vec<f64>,
-    /// Share of the light that is indirect.
-    pub indirect_share: f64,
 }
 
 /// Gauss-Newton from `start`, which is also the prior, the strength of each material's gloss held as stated.
@@ -328,7 +335,6 @@ pub fn fit(
         patch.own[0] = median(&mut residuals)?;
     }
     let (mut unknowns, mut sigmas) = (start.clone(), Default::default());
-    let mut indirect_share = 0.0;
     for _ in 0..MAX_STEPS {
         let loss = Tukey {
             scale: residual_scale(patches, &unknowns),
@@ -350,7 +356,6 @@ pub fn fit(
         let tiles = tiles?;
         let all = tiles.iter().map(|(tile, _)| tile);
         let mut normal = all.fold(Normal::zero(n), Normal::plus);
-        indirect_share = normal.indirect_share();
         let mut with_model = &normal.jtj / normal.variance_with_model();
         let prior = unknowns.prior(start, params, gloss_sigmas);
         for (k, (distance, weight)) in prior.into_iter().enumerate() {
@@ -358,8 +363,13 @@ pub fn fit(
             with_model[(k, k)] += weight;
             normal.jtr[k] += weight * distance;
         }
-        let cholesky = normal.jtj.cholesky()?;
-        let step = -cholesky.solve(&normal.jtr);
+        let cholesky = normal.jtj.clone().cholesky()?;
+        let mut step = -cholesky.solve(&normal.jtr);
+        if unknowns.light.lobe_power <= 0.0 && step[AT_LOBE] < 0.0 {
+            // No lobe is narrower than none: the others answer for what it would explain.
+            normal.hold(AT_LOBE);
+            step = -normal.jtj.cholesky()?.solve(&normal.jtr);
+        }
         let next = unknowns.moved(&step);
         let moved = next.distances(&unknowns);
         unknowns = next;
@@ -381,7 +391,6 @@ pub fn fit(
         found: unknowns,
         sigmas,
         sigmas_with_model,
-        indirect_share,
     })
 }
 

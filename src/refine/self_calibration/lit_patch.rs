@@ -7,7 +7,7 @@ use crate::refine::optics::Optics;
 use crate::refine::sites::Sites;
 use crate::refine::view::View;
 use crate::shading::Calibration;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -68,7 +68,8 @@ impl LitPatch {
                 cell.push(face as u32);
             }
         }
-        let cells: Vec<Vec<u32>> = cells.into_values().collect();
+        let sides = cells.into_values().flat_map(|faces| sides(faces, sites));
+        let cells: Vec<Vec<u32>> = sides.collect();
         let patch = |faces: &Vec<u32>| LitPatch::new(faces, sites, views, optics, materials);
         cells.par_iter().with_max_len(1).filter_map(patch).collect()
     }
@@ -108,6 +109,20 @@ impl LitPatch {
             material: commonest(faces, materials),
         })
     }
+}
+
+/// Facets of one place by the side that they face: a thin wall has two, of which no view sees both.
+fn sides(faces: Vec<u32>, sites: &Sites) -> [Vec<u32>; 2] {
+    let squares = faces.iter().map(|&face| {
+        let normal = &sites.normals[face as usize];
+        normal * normal.transpose() * sites.areas_m2[face as usize]
+    });
+    let squares = SymmetricEigen::new(squares.sum::<Matrix3<f64>>());
+    let across = squares.eigenvectors.column(squares.eigenvalues.imax());
+    let (front, back) = faces
+        .into_iter()
+        .partition(|&face| sites.normals[face as usize].dot(&across) >= 0.0);
+    [front, back]
 }
 
 /// The material of most of some facets, the first of several; the first where there are none.
@@ -164,4 +179,42 @@ fn read(
         indirect,
         sigma: noise.hypot(MODEL_SIGMA),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::TriMesh;
+    use crate::refine::scenes::RippledPlane;
+    use crate::refine::sites::SiteKind;
+
+    #[test]
+    fn both_sides_of_a_thin_wall_are_patches() {
+        let front = RippledPlane {
+            amplitude_m: 0.0004,
+        };
+        let front = front.mesh(0.0015);
+        let n = front.vertices.len() as u32;
+        let back = front.vertices.iter().map(|p| p + 0.002 * Vector3::z());
+        let wall = TriMesh {
+            vertices: front.vertices.iter().copied().chain(back).collect(),
+            faces: front
+                .faces
+                .iter()
+                .copied()
+                .chain(front.faces.iter().map(|&[a, b, c]| [a + n, c + n, b + n]))
+                .collect(),
+        };
+        let sites = Sites::unseen(SiteKind::Face, &wall);
+        let both = sides((0..wall.faces.len() as u32).collect(), &sites);
+        for side in &both {
+            assert_eq!(side.len(), front.faces.len());
+            let normals = side.iter().map(|&face| sites.normals[face as usize]);
+            assert!(normals.sum::<Vector3<f64>>().norm() > 0.9 * side.len() as f64);
+        }
+        // What is seen from one side alone is one.
+        let [one, none] = sides((0..front.faces.len() as u32).collect(), &sites);
+        assert_eq!(one.len() + none.len(), front.faces.len());
+        assert!(one.is_empty() || none.is_empty());
+    }
 }
