@@ -448,6 +448,70 @@ mod tests {
         }
     }
 
+    #[test]
+    fn at_no_lobe_the_others_answer_as_if_it_were_held() {
+        // Brighter towards the rim than any lobe makes it.
+        let truth = Unknowns {
+            inv_gamma: 1.15,
+            light: NearLight {
+                lobe_power: -0.5,
+                ..calibration().light.near_light([0.05, 0.01, 0.0])
+            },
+            log_indirect: 0.0,
+            gloss: vec![Gloss::default()],
+            log_gains: vec![0.0; 6],
+        };
+        let golden = |k: usize, step: f64| (k as f64 * step).fract() - 0.5;
+        let patch = |k: usize| {
+            let reading = |view: usize| {
+                let at = 6 * k + view;
+                let z = 0.7 + 0.3 * golden(at, 0.618_034);
+                let point = Point3::new(golden(at, 0.754_878), golden(at, 0.569_84), z);
+                let normal = Vector3::new(golden(at, 0.324_718), golden(at, 0.414_214), -1.0);
+                let mut reading = Reading {
+                    view,
+                    log_observed: 0.0,
+                    log_flat: 0.0,
+                    point,
+                    normal: normal / normal.norm(),
+                    tilts: [Vector3::x(), Vector3::y()],
+                    indirect: Vector3::zeros(),
+                    sigma: 0.02,
+                };
+                let row = truth.row(&reading, 0, &Vector3::zeros()).expect("lit");
+                reading.log_observed = -row.residual / truth.inv_gamma;
+                reading
+            };
+            LitPatch {
+                readings: (0..6).map(reading).collect(),
+                share: 1.0,
+                own: Vector3::zeros(),
+                material: 0,
+            }
+        };
+        let start = Unknowns {
+            inv_gamma: 1.25,
+            light: NearLight {
+                lobe_power: 0.0,
+                ..truth.light
+            },
+            ..truth.clone()
+        };
+        let found = |lobe_sigma: f64| {
+            let mut patches: Vec<LitPatch> = (0..100).map(patch).collect();
+            let params = SelfCalibrationParams {
+                lobe_sigma,
+                ..SelfCalibrationParams::default()
+            };
+            let fitted = fit(&mut patches, &start, &params, &[1e-9]).expect("determined");
+            fitted.found
+        };
+        let (free, held) = (found(1.0), found(1e-9));
+        assert_eq!(free.light.lobe_power, 0.0);
+        assert!((free.inv_gamma / held.inv_gamma - 1.0).abs() < 1e-3);
+        assert!((held.inv_gamma / truth.inv_gamma - 1.0).abs() > 5e-3);
+    }
+
     fn derivatives_match_differences_with(gloss: Gloss) {
         let unknowns = Unknowns {
             inv_gamma: 1.2,
