@@ -198,7 +198,7 @@ pub struct SnapshotSelector {
 
 /// How the sensor at hand comes by shading images.
 enum Method {
-    Sequence(ShadingSequence),
+    Sequence(Box<ShadingSequence>),
     Stream(EmitterStream),
 }
 
@@ -208,7 +208,7 @@ impl SnapshotSelector {
         let optics = Optics::new(info)?;
         let (method, min_gain_share) = match info.sensor {
             // A pose that the operator took the trouble to hold is kept, however little it adds.
-            Sensor::Kinect1 => (Method::Sequence(ShadingSequence::default()), 0.0),
+            Sensor::Kinect1 => (Method::Sequence(Box::default()), 0.0),
             Sensor::Kinect2 => (
                 Method::Stream(EmitterStream::default()),
                 params.min_gain_share,

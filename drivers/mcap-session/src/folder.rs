@@ -165,7 +165,7 @@ mod tests {
             fs::create_dir(path).unwrap();
         }
         fs::write(recording.join(session::FILE_NAME), "").unwrap();
-        let none = fs::Permissions::from_mode(0);
+        let none = fs::Permissions::from_mode(0o0);
         fs::set_permissions(&closed, none).unwrap();
         if fs::read_dir(&closed).is_ok() {
             println!("skipped: this user may read every folder");
