@@ -158,7 +158,8 @@ pub fn file(data: &DataFolder, id: &SessionId, name: &str) -> io::Result<(Sessio
     }
 }
 
-/// Removes a scan and all that belongs to it. It is none at once, and whole until then; where the removal is cut off, [`sweep`] ends it.
+/// Removes a scan and all that belongs to it. It is none at once, and whole until then; where the removal is cut off, or something
+/// cannot be removed, [`sweep`] ends it.
 ///
 /// # Errors
 /// If there is no such scan, or the system refuses.
@@ -171,7 +172,10 @@ pub fn remove(data: &DataFolder, id: &SessionId) -> io::Result<()> {
         _ => {}
     }
     fs::rename(folder, &aside)?;
-    fs::remove_dir_all(aside)
+    if let Err(error) = fs::remove_dir_all(&aside) {
+        tracing::warn!(path = %aside.display(), %error, "what is left of a scan stays until the next start");
+    }
+    Ok(())
 }
 
 /// Removes what is left of scans whose removal was cut off, and what scans that have ended wrote down on the way and nobody took. To be
@@ -186,9 +190,13 @@ pub fn sweep(data: &DataFolder) -> io::Result<()> {
             continue;
         };
         let record = ScanRecord::read(&folder, &id);
-        // Of a scan that was interrupted it may be all that there is.
-        if record.is_ok_and(|record| record.ended_unix_ms.is_some()) {
-            remove_begun_with(INTERIM, &folder)?;
+        // Of a scan that was interrupted, or failed, it may be all that there is.
+        let is_complete =
+            |record: ScanRecord| record.ended_unix_ms.is_some() && record.failures.is_empty();
+        if record.is_ok_and(is_complete)
+            && let Err(error) = remove_begun_with(INTERIM, &folder)
+        {
+            tracing::warn!(path = %folder.display(), %error, "what a scan wrote on the way stays");
         }
     }
     Ok(())
@@ -338,17 +346,23 @@ mod tests {
     fn what_a_scan_that_ended_wrote_on_the_way_and_nobody_took_goes_at_the_start() {
         let root = tempfile::tempdir().unwrap();
         let data = DataFolder::open(root.path()).unwrap();
-        for has_ended in [false, true] {
+        let failed = vec!["no mesh".to_owned()];
+        for (ended, stays) in [
+            (None, true),
+            (Some(failed), true),
+            (Some(Vec::new()), false),
+        ] {
             let record = ScanRecord::started(SessionId::generate(), None, device());
             let folder = data.session(&record.id);
             let interim = folder.join("interim-001");
             fs::create_dir_all(&interim).unwrap();
-            match has_ended {
-                true => record.ended(Vec::new()).write(&folder).unwrap(),
-                false => record.write(&folder).unwrap(),
-            }
+            let record = match ended {
+                Some(failures) => record.ended(failures),
+                None => record,
+            };
+            record.write(&folder).unwrap();
             sweep(&data).unwrap();
-            assert_eq!(interim.exists(), !has_ended);
+            assert_eq!(interim.exists(), stays);
         }
     }
 

@@ -97,6 +97,29 @@ fn views_that_look_elsewhere_do_not_judge() {
 }
 
 #[test]
+fn views_that_see_nothing_of_what_was_learnt_judge_what_they_see() {
+    // Views 1 and 5 judge. They see one side of the surface, the others the other; the rest is black.
+    let result = refine_from(&FLAT.mesh(0.0025), |k, snapshot| {
+        let is_black = |u: usize| match k % 4 {
+            1 => u < 120,
+            _ => u > 80,
+        };
+        let width = snapshot.ir_counts.width();
+        let counts = snapshot.ir_counts.data_mut().iter_mut();
+        let black = counts
+            .enumerate()
+            .filter(|(pixel, _)| is_black(pixel % width));
+        black.for_each(|(_, counts)| *counts = 0.0);
+    });
+    let compared = match result {
+        Ok(refinement) => refinement.judgement.overall,
+        Err(RefineError::WorseThanBase(held_out)) => held_out,
+        Err(error) => panic!("{error}"),
+    };
+    assert!(compared.n_pixels > 0);
+}
+
+#[test]
 fn views_that_see_nothing_are_not_the_only_ones_that_judge_or_are_learnt_from() {
     let judges_where_these_see = |seeing: &[usize]| {
         let result = refine_from(&FLAT.mesh(0.0025), |k, snapshot| {

@@ -4,7 +4,7 @@ use super::MAX_VIEWS;
 use super::albedo::{Albedo, labels_by_face};
 use super::calibration_trial::CalibrationTrial;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
-use super::held_out::{JudgedView, every, judge};
+use super::held_out::{JudgedView, Judgement, every, judge};
 use super::level::{Level, levels};
 use super::observations::Observations;
 use super::optics::Optics;
@@ -237,6 +237,7 @@ impl Preparation {
 
     /// Lets a set of views judge the base state and a refined one of the finest level, both learnt from another set; they are left
     /// aligned with the refined surface. Of the base surface, too, albedo and tints are told by the views that the images have aligned.
+    /// They judge what the others saw; if they see nothing of that, what they do see.
     pub fn judge(
         &self,
         mut base: State,
@@ -257,7 +258,12 @@ impl Preparation {
         if let Some(albedo) = rounds.estimate_albedo(&sites, &observations, current) {
             base.albedo = rounds.tinted(surface, &sites, &observations, albedo);
         }
-        judge(&rounds, &base, refined, &sites.are_seen(), judges)
+        let judged = judge(&rounds, &base, refined, &sites.are_seen(), judges);
+        if judges == 0 || Judgement::of(&judged).n_comparing() > 0 {
+            return judged;
+        }
+        let all = vec![true; sites.points.len()];
+        judge(&rounds, &base, refined, &all, judges)
     }
 
     /// The views that see any of the base surface.

@@ -91,13 +91,15 @@ struct Device {
 
 /// Runs a command.
 pub fn calibrate(aim: Aim, args: &TargetArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
-    let of_page = args.page.as_deref().and_then(Path::parent);
-    // A bare name is of the working directory.
-    if let Some(of_page) = of_page.filter(|folder| *folder != Path::new("")) {
-        require_folder("--page", of_page)?;
-    }
     let config = Config::layered(None, &Overrides::default())?;
     let device = device(args, &config)?;
+    let of_page = args.page.as_deref().and_then(Path::parent);
+    // A bare name is of the working directory, and the calibration's own folder is made for it.
+    let is_made = |folder: &Path| !args.file.dry_run && device.file.parent() == Some(folder);
+    let of_page = of_page.filter(|folder| *folder != Path::new("") && !is_made(folder));
+    if let Some(of_page) = of_page {
+        require_folder("--page", of_page)?;
+    }
     if !args.file.dry_run {
         let nothing = DeviceCalibration::new(device.serial.clone(), device.info.sensor);
         check_beforehand(&device.file, &nothing, aim.keys(), args.file.replace)?;
@@ -123,15 +125,13 @@ pub fn calibrate(aim: Aim, args: &TargetArgs, stop: &AtomicBool) -> anyhow::Resu
     let written = write_all(&findings, &sensor, &device, args);
     if args.json {
         let failure = written.as_ref().err().map(with_causes);
-        print_json(&findings, failure.as_slice())?;
-        // The object tells of it, and no other follows.
-        return Ok(written.map_or_else(
-            |error| {
-                tracing::error!("{}", with_causes(&error));
-                Verdict::of_error(&error)
-            },
-            |()| Verdict::Done,
-        ));
+        let printed = print_json(&findings, failure.as_slice());
+        if let Err(error) = &written {
+            // The object tells of it, and no other follows.
+            tracing::error!("{}", with_causes(error));
+            return Ok(Verdict::of_error(error));
+        }
+        return printed.map(|()| Verdict::Done);
     }
     let printed = print_text(&findings);
     written?;

@@ -228,6 +228,10 @@ fn a_segment_with_a_chunk_that_is_not_read_is_left_as_it_is() {
             chunk("lz4", 1000, 0, &[7; 300]),
             "compression \"lz4\", must be zstd or none",
         ),
+        (
+            chunk("lz4", n_large as u64, crc, &[7; 300]),
+            "compression \"lz4\", must be zstd or none",
+        ),
         (chunk("zstd", n_large as u64, crc, &packed), too_large),
         (
             chunk("", n_large as u64, crc, &large),
