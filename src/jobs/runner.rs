@@ -82,12 +82,8 @@ impl Shared {
     }
 
     fn run(&self, record: &Record) -> Result<(), JobError> {
-        match self.why_stale(record) {
-            Ok(None) => {}
-            Ok(Some(why)) => {
-                return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
-            }
-            Err(error) => return self.fail_unless_passing(record, error),
+        if self.end_if_stale(record)? {
+            return Ok(());
         }
         let number = record.failures.len() + 1;
         tracing::info!(job = %record.id, scan = record.scan, attempt = number, "refinement begins");
@@ -161,13 +157,8 @@ impl Shared {
 
     /// Takes the outputs of an attempt into the scan, unless the scan has changed or somebody has ended the job.
     fn take_in(&self, record: &Record) -> Result<(), JobError> {
-        match self.why_stale(record) {
-            Ok(None) => {}
-            Ok(Some(why)) => {
-                self.clear(record)?;
-                return lock(&self.spool).end(&record.id, JobState::Superseded, Some(why));
-            }
-            Err(error) => return self.fail_unless_passing(record, error),
+        if self.end_if_stale(record)? {
+            return Ok(());
         }
         match self.begin_landing(record)? {
             true => self.deliver(record),
@@ -229,6 +220,19 @@ impl Shared {
         tracing::error!(job = %record.id, "this attempt at refinement is given up: {error}");
         self.clear(record)?;
         lock(&self.spool).fail(&record.id, error.to_string())
+    }
+
+    /// Ends a job that is not about its scan any more, or an attempt at one that cannot be read; false if neither is so.
+    fn end_if_stale(&self, record: &Record) -> Result<bool, JobError> {
+        match self.why_stale(record) {
+            Ok(None) => return Ok(false),
+            Ok(Some(why)) => {
+                self.clear(record)?;
+                lock(&self.spool).end(&record.id, JobState::Superseded, Some(why))?;
+            }
+            Err(error) => self.fail_unless_passing(record, error)?,
+        }
+        Ok(true)
     }
 
     /// Why a job is not about its scan any more, as soon as the disk lets that be read.

@@ -9,6 +9,7 @@ use super::mixture::Mixture;
 use super::neighbourhood::Neighbourhood;
 use super::observations::Observations;
 use super::sites::Sites;
+use crate::robust::median;
 
 /// Sites in groups.
 pub struct Materials {
@@ -129,11 +130,8 @@ fn typical_logs(labels: &[u8], n_labels: usize, own: &[Median]) -> Vec<f64> {
         .zip(own)
         .filter(|(_, own)| own.log.is_finite());
     told.for_each(|(&label, own)| by_label[label as usize].push(own.log));
-    let median = |mut logs: Vec<f64>| match logs.len() {
-        0 => f64::NAN,
-        n => *logs.select_nth_unstable_by(n / 2, f64::total_cmp).1,
-    };
-    by_label.into_iter().map(median).collect()
+    let typical = |logs: &mut Vec<f64>| median(logs).unwrap_or(f64::NAN);
+    by_label.iter_mut().map(typical).collect()
 }
 
 /// Whether two groups are of nearly one albedo: a stain may look like two materials until each is measured.
@@ -155,5 +153,7 @@ mod tests {
         };
         assert!(are_twins([0.165, 0.179]) && are_twins([0.179, 0.165]));
         assert!(!are_twins([0.15, 0.21]));
+        // A group that no site belongs to has the albedo of all.
+        assert!(are_twins_among(&of_groups(&[0, 0], 2, &[(0.3, 2.0); 2])));
     }
 }

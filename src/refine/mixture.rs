@@ -91,21 +91,14 @@ impl Mixture {
     /// A component that is none: its values turned out to lie nearer to another one, or nowhere. Of several the one that is farthest
     /// off. Between two materials lies a third if sites of either go to it. Given what is typical of each, NaN of one without values.
     pub fn stray(&self, typical: &[f64]) -> Option<usize> {
-        let off =
-            |component: usize| match (typical[component] - self.components[component].mean).abs() {
-                off if off.is_nan() => f64::INFINITY,
-                off => off,
-            };
-        let is_stray = |&component: &usize| {
-            let all = 0..self.len();
-            let mut others = all.filter(|&other| other != component);
-            others.any(|other| {
-                let to_other = (typical[component] - self.components[other].mean).abs();
-                to_other < off(component) || typical[component].is_nan()
-            })
+        let apart = |of: usize, to: usize| (typical[of] - self.components[to].mean).abs();
+        let is_stray = |&of: &usize| {
+            let is_nearer_to = |to| apart(of, to) < apart(of, of);
+            typical[of].is_nan() || (0..self.len()).any(is_nearer_to)
         };
-        let strays = (0..self.len()).filter(is_stray);
-        strays.max_by(|&a, &b| off(a).total_cmp(&off(b)))
+        let strays = (0..self.len()).filter(|of| self.len() > 1 && is_stray(of));
+        // No number is the farthest of all.
+        strays.max_by(|&a, &b| apart(a, a).total_cmp(&apart(b, b)))
     }
 
     /// The other components.

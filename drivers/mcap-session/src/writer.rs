@@ -270,7 +270,8 @@ impl SegmentWriter {
     /// Ends the recording in order.
     ///
     /// # Errors
-    /// What the system says; what is whole of the recording has been kept, as after any failure to write. [`RecordingError::Ended`] if it ended before.
+    /// What the system says; what is whole of the recording has been kept, as after any failure to write.
+    /// [`RecordingError::Ended`] if it ended before.
     pub fn finish(mut self) -> Result<Counters, RecordingError> {
         if self.open.is_none() {
             return Err(self.ended());

@@ -5,7 +5,7 @@ use relief::{evaluate::TrajectoryError, fusion::FusionStep};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// What was self.
+/// What was measured.
 #[derive(Serialize)]
 pub(super) struct Measured {
     pub(super) session: String,

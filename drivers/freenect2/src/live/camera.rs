@@ -68,8 +68,9 @@ impl Default for LiveOptions {
 ///
 /// `grab` decodes the newest packet; older ones that nobody took are left out, and `frame_id` counts them and those that were
 /// lost. A device that sends nothing at all once it is open ends in [`CameraError::Unresponsive`]. Silence after that, some seconds
-/// without a good packet, or udev's word that the device has gone, ends in one [`CameraError::Disconnected`]; from then on the device is looked for by its serial, `grab` gives [`CameraError::Timeout`] until
-/// it is back, and the stream goes on with higher `frame_id`s and later times.
+/// without a good packet, or udev's word that the device has gone, ends in one [`CameraError::Disconnected`]; from then on the device
+/// is looked for by its serial, `grab` gives [`CameraError::Timeout`] until it is back, and the stream goes on with higher `frame_id`s
+/// and later times.
 #[derive(Debug)]
 pub struct Freenect2Camera {
     library: Library,
