@@ -1,9 +1,12 @@
 //! Which blocks a frame touches: those along its truncation band.
 
 use super::block::{BLOCK_SIDE, BlockCoord};
+use super::free_space;
 use super::noise::DepthNoise;
+use super::observe::Observations;
 use super::pyramid::FramePyramid;
 use super::turns::Turns;
+use super::view::View;
 use super::volume::{Refusal, TsdfVolume};
 use crate::geometry::lanes::{LANES, Lane};
 use crate::geometry::{Pose, Rigid};
@@ -24,6 +27,8 @@ pub struct Band {
     frame: u32,
     /// The touched blocks, in rising order.
     touched: Vec<u32>,
+    /// Blocks in free space that hold something, of those that the frame looked through.
+    filled: Vec<u32>,
     refused: Refused,
     /// Where rays cross blocks, by how deep in the band.
     crossings: Vec<BlocksCrossed>,
@@ -84,6 +89,20 @@ impl Band {
         touched_in
             .filter(move |(_, last)| **last > frame)
             .map(|(block, _)| block as u32)
+    }
+
+    /// Looks through the blocks whose turn it is, for those that hold something where the frame sees free space: [`Self::filled`].
+    pub fn look_through(&mut self, volume: &TsdfVolume, observations: &Observations, view: &View) {
+        let touched = (self.frame, self.touched_in.as_slice());
+        free_space::find(volume, touched, observations, view, &mut self.filled);
+        for &block in &self.filled {
+            self.touched_in[block as usize] = self.frame;
+        }
+    }
+
+    /// Blocks in free space that hold something, of those that the frame looked through, in rising order.
+    pub fn filled(&self) -> &[u32] {
+        &self.filled
     }
 
     /// What the volume refused so far.

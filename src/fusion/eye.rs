@@ -1,6 +1,7 @@
 //! The frame in hand, from a depth image to measurements, and those into a volume; its buffers are kept from frame to frame.
 
 use super::MODEL_LEVEL;
+use super::free_space::LOOKS_EVERY;
 use super::fused_volume::FusedVolume;
 use super::integrate::integrate;
 use super::noise::DepthNoise;
@@ -89,9 +90,23 @@ impl Eye {
             turns,
         );
         on_step(FusionStep::Allocate);
-        let weight = turns.weight() * self.n_frames.min(MOST_FRAMES_AS_ONE) as f32;
-        let view = View::new(volume, self.lens, world_from_camera, weight);
+        let n_frames = self.n_frames.min(MOST_FRAMES_AS_ONE) as f32;
+        let view = View::new(
+            volume,
+            self.lens,
+            world_from_camera,
+            turns.weight() * n_frames,
+        );
         integrate(self.arch, volume, band.touched(), &self.observations, &view);
+        band.look_through(volume, &self.observations, &view);
+        let through = view.looking_through(self.noise, LOOKS_EVERY as f32 * n_frames);
+        integrate(
+            self.arch,
+            volume,
+            band.filled(),
+            &self.observations,
+            &through,
+        );
         on_step(FusionStep::Integrate);
     }
 

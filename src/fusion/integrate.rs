@@ -104,7 +104,8 @@ impl WithSimd for UpdateBlocks<'_> {
                 for (seen, &pixel) in seen.iter_mut().zip(&nearest) {
                     *seen = pixels[pixel as usize];
                 }
-                let measured = measure(self.view, step, &seen, &depth);
+                let least_weight = self.view.least_weight(&bricks, brick);
+                let measured = measure(self.view, step, least_weight, &seen, &depth);
                 if measured.any {
                     blend(&measured, tsdf, weights);
                 }
@@ -125,6 +126,7 @@ struct Measured {
 fn measure(
     view: &View,
     step: DepthStep,
+    least_weight: f32,
     seen: &[Observation; BRICK_VOXELS],
     depth: &[f32; BRICK_VOXELS],
 ) -> Measured {
@@ -136,11 +138,13 @@ fn measure(
         let counts = (measured > 0.0) & (truncations >= -1.0);
         let cut = if truncations < 1.0 { truncations } else { 1.0 };
         distance[voxel] = if counts { cut * TSDF_ONE } else { 0.0 };
-        weight[voxel] = if counts {
-            weight_of(seen[voxel]) * frames
+        let of_pixel = weight_of(seen[voxel]);
+        let counting = if of_pixel > least_weight {
+            of_pixel
         } else {
-            0.0
+            least_weight
         };
+        weight[voxel] = if counts { counting * frames } else { 0.0 };
         any |= u32::from(counts);
     }
     Measured {

@@ -4,7 +4,7 @@
 //! frame of the first image. When in doubt a frame is not fused: [`TrackingOutcome::Lost`] stops integration until a later
 //! frame fits the model again from the last good pose, or two frames from a place where the camera has been.
 //!
-//! Not handled: moving objects.
+//! What was fused and is gone is taken back where a later frame sees through it. Not handled: what moves while it is seen.
 
 mod improvement;
 mod noise;
@@ -31,6 +31,7 @@ mod turns;
 mod band;
 mod band_ends;
 mod block;
+mod free_space;
 mod fused_volume;
 mod integrate;
 mod observe;

@@ -2,6 +2,9 @@
 
 use depth_camera::Sensor;
 
+/// Depth at which a frontal measurement has weight 1: object scale.
+const REFERENCE_DEPTH_M: f32 = 0.6;
+
 /// Standard deviation of one depth pixel along the optical axis, quadratic in distance: `floor_m + growth·(z − z0)²`; and what a
 /// pixel on a rim is worth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +47,12 @@ impl DepthNoise {
     /// Whether a pixel on a rim mixes two surfaces, so that it may lie where there is none.
     pub fn mixes_at_rims(&self) -> bool {
         self.mixes_at_rims
+    }
+
+    /// How much more precise a measurement at a depth (m) is than one at object scale.
+    #[inline(always)]
+    pub fn precision(&self, depth_m: f32) -> f32 {
+        self.sigma_m(REFERENCE_DEPTH_M) / self.sigma_m(depth_m)
     }
 
     /// Standard deviation at a depth, metres.

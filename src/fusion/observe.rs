@@ -49,8 +49,6 @@ impl DepthStep {
     }
 }
 
-/// Depth at which a frontal measurement has weight 1: object scale.
-const REFERENCE_DEPTH_M: f32 = 0.6;
 /// A difference along the axis never counts for less than this share of itself (surfaces steeper than 75°).
 const MIN_SLOPE: f32 = 0.25;
 
@@ -219,13 +217,12 @@ impl WithSimd for HalfRow<'_> {
             &depth[cells.clone()],
         );
         let [nx, ny, nz] = [0, 1, 2].map(|axis| &normals[axis][cells.clone()]);
-        let reference = self.noise.sigma_m(REFERENCE_DEPTH_M);
         for (u, out) in self.out.iter_mut().enumerate() {
             let slope = -(nx[u] * x[u] + ny[u] * y[u] + nz[u]);
             let length = (x[u] * x[u] + y[u] * y[u] + 1.0).sqrt();
-            let ratio = reference / self.noise.sigma_m(z[u]);
+            let precision = self.noise.precision(z[u]);
             let steep = if slope > MIN_SLOPE { slope } else { MIN_SLOPE };
-            let packed = pack(slope / length * ratio * ratio, steep);
+            let packed = pack(slope / length * precision * precision, steep);
             *out = if slope > 0.0 { packed } else { 0 };
         }
     }
@@ -284,14 +281,12 @@ impl FullRow<'_> {
         half: &[u32; LANES],
         half_depth: &Lane,
     ) -> [Observation; 2 * LANES] {
-        let reference = self.noise.sigma_m(REFERENCE_DEPTH_M);
         let mut pixels = [0; 2 * LANES];
         for i in 0..2 * LANES {
             let (z, half, half_depth) = (depth[i], half[i / 2], half_depth[i / 2]);
-            let sigma_m = self.noise.sigma_m(z);
-            let reach = SAME_SURFACE_SIGMAS * sigma_m + 2.5 * self.pitch * z;
-            let ratio = reference / sigma_m;
-            let rim = pack(self.noise.rim_weight() * ratio * ratio, 1.0);
+            let reach = SAME_SURFACE_SIGMAS * self.noise.sigma_m(z) + 2.5 * self.pitch * z;
+            let precision = self.noise.precision(z);
+            let rim = pack(self.noise.rim_weight() * precision * precision, 1.0);
             let on_surface = (half != 0) & ((z - half_depth).abs() < reach);
             let packed = if on_surface { half } else { rim };
             pixels[i] = self.step.join(z, packed);

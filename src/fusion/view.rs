@@ -3,7 +3,8 @@
 //! Within a brick the lens is linear, so that column times depth, row times depth and depth itself grow by the same step from
 //! voxel to voxel: a voxel's pixel costs one division.
 
-use super::block::{BLOCK_SIDE, BRICK_SIDE, BRICK_VOXELS, BRICKS, BlockCoord};
+use super::block::{BLOCK_SIDE, BRICK_SIDE, BRICK_VOXELS, BRICKS, BlockCoord, WEIGHT_ONE};
+use super::noise::DepthNoise;
 use super::volume::TsdfVolume;
 use crate::geometry::Lens;
 use crate::geometry::Pose;
@@ -23,6 +24,8 @@ pub struct View {
     lens: Lens,
     truncation_m: f32,
     weight: f32,
+    /// Where it looks through what it sees: the noise of what would be measured there instead.
+    looks_through: Option<DepthNoise>,
     /// World origin in the camera frame, metres.
     origin: Vector3<f64>,
     /// Columns are the steps from voxel to voxel along the world's axes, in the camera frame, metres.
@@ -78,6 +81,7 @@ impl View {
             lens,
             truncation_m: volume.truncation_m(),
             weight,
+            looks_through: None,
             origin: camera_from_world.translation.vector,
             steps: axes.cast::<f32>().into(),
             centres: std::array::from_fn(|axis| {
@@ -98,6 +102,52 @@ impl View {
     #[inline(always)]
     pub fn weight(&self) -> f32 {
         self.weight
+    }
+
+    /// The same for voxels in free space, which are told of it with the weight that a surface there would have had: what is farther off is
+    /// measured less well, but that it is farther is certain. The frame counts for `weight` frames.
+    pub fn looking_through(&self, noise: DepthNoise, weight: f32) -> Self {
+        View {
+            weight,
+            looks_through: Some(noise),
+            ..self.clone()
+        }
+    }
+
+    /// What a pixel counts for at least in a brick's voxels, in units of its weight.
+    #[inline(always)]
+    pub fn least_weight(&self, bricks: &Bricks, brick: usize) -> f32 {
+        self.looks_through.map_or(0.0, |noise| {
+            let precision = noise.precision(bricks.depth[brick]);
+            WEIGHT_ONE * precision * precision
+        })
+    }
+
+    /// Pixel on which the middle of a block falls, the number of pixels where there is none, and its depth (m).
+    #[inline(always)]
+    pub fn centre(&self, coord: BlockCoord) -> (u32, f32) {
+        let mut centre = [0, 1, 2].map(|axis| self.origin[axis] as f32);
+        for (c, step) in coord.iter().zip(&self.steps) {
+            let along = (*c as f32 + 0.5) * BLOCK_SIDE as f32;
+            for axis in 0..3 {
+                centre[axis] += along * step[axis];
+            }
+        }
+        (self.lens.pixel_index(centre), centre[2])
+    }
+
+    /// A part of the image with so many pixels more on each side.
+    #[inline(always)]
+    pub fn widened(&self, extent: Extent, by: usize) -> Extent {
+        let [last_column, last_row] = self.lens.last().map(|last| last as usize);
+        let widened = |range: RangeInclusive<usize>, last: usize| {
+            range.start().saturating_sub(by)..=(range.end() + by).min(last)
+        };
+        Extent {
+            columns: widened(extent.columns, last_column),
+            rows: widened(extent.rows, last_row),
+            ..extent
+        }
     }
 
     /// The bricks of a block.
