@@ -1,7 +1,8 @@
 //! The triangles of a cube for every pattern of inside and outside corners.
 //!
 //! They are not looked up but traced: crossings are joined along the cube's faces, always round the inside corners, into
-//! loops, and loops cut into fans. Two cubes see their common face alike, so that the mesh has no cracks.
+//! loops, and loops cut into fans. Two cubes see their common face alike, so that the mesh has no cracks; no cut runs along a face,
+//! where that of the neighbour might coincide with it.
 
 use super::block::BLOCK_SIDE;
 use std::sync::LazyLock;
@@ -116,6 +117,19 @@ fn face_loops() -> [[u8; 4]; 6] {
     })
 }
 
+/// Whether a side that two triangles of a ring's fan share lies in a face of the cube.
+fn has_chord_in_a_face(ring: &[u8], faces: &[[u8; 4]; 6]) -> bool {
+    let lies_in = |edge: u8, face: &[u8; 4]| {
+        let (low, high) = EDGE_CORNERS[edge as usize];
+        face.contains(&low) && face.contains(&high)
+    };
+    let mut ends = ring[2..ring.len() - 1].iter();
+    ends.any(|&end| {
+        let mut faces = faces.iter();
+        faces.any(|face| lies_in(ring[0], face) && lies_in(end, face))
+    })
+}
+
 fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
     let inside = |corner: u8| pattern >> corner & 1 == 1;
     // On each face, walk round it: the surface enters where outside turns to inside and leaves where inside turns to outside;
@@ -147,6 +161,10 @@ fn trace_case(pattern: u8, faces: &[[u8; 4]; 6]) -> Case {
             used[edge as usize] = true;
             ring.push(edge);
             edge = next[edge as usize];
+        }
+        // From some of its edges every ring can be cut so.
+        while has_chord_in_a_face(&ring, faces) {
+            ring.rotate_left(1);
         }
         for i in 1..ring.len() - 1 {
             case.push([ring[0], ring[i + 1], ring[i]]);
