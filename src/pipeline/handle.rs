@@ -203,6 +203,9 @@ fn conclude(
     if scan.is_none() {
         outbox.fail(nothing_fused(subject, endings));
     }
+    if let Some(reason) = &endings.fusion.no_surface_reason {
+        outbox.fail(reason.clone());
+    }
     let mut report = report::compose(subject, endings, &outbox.account());
     if let Some(scan) = scan {
         // Drawing takes as long as all else that a run has to do once it is stopped.

@@ -21,6 +21,9 @@ use std::sync::Arc;
 /// Why a run that was not asked to refine has no refined mesh; its shading images are kept for one that is.
 const SWITCHED_OFF: &str = "refinement was switched off";
 
+/// Why a run of which nothing could be fused has no refined mesh.
+const NO_SCAN: &str = "there is no scan to refine";
+
 /// Why images cannot be understood.
 const NO_OPTICS: &str = "the session does not say where its light is, or what full scale is";
 
@@ -77,8 +80,9 @@ pub fn run(
     outbox: &Outbox,
 ) -> RefineSummary {
     let mut summary = RefineSummary::default();
-    // A scan that never comes is told of by the fusion thread.
+    // Why it never comes is told of by the fusion thread.
     let Ok(scan) = scans.recv() else {
+        summary.not_refined_reason = Some(NO_SCAN.to_owned());
         return summary;
     };
     let mut export_clock = StageClock::new("export");

@@ -76,8 +76,11 @@ impl Crop {
     /// # Errors
     /// Says for the operator why nothing is left.
     pub fn object(&self, base: &TriMesh, world_from_cameras: &[Pose]) -> Result<TriMesh, String> {
+        if base.faces.is_empty() {
+            return Err("the model has no surface".to_owned());
+        }
         let (object, missing) = match self {
-            Crop::None => (base.clone(), "the model has no surface"),
+            Crop::None => return Ok(base.clone()),
             Crop::Auto | Crop::Object => (
                 select_object(base, world_from_cameras).0,
                 "no object stands out of the scene; give its box by --crop or object.crop of the \
@@ -177,7 +180,15 @@ mod tests {
             .sum::<Vector3<f64>>();
         assert!((mean.z / object.vertices.len() as f64 - 0.55).abs() < 1e-9);
         assert_eq!(Crop::None.object(&scene, &[above]).unwrap(), scene);
-        assert!(Crop::None.object(&TriMesh::default(), &[]).is_err());
+    }
+
+    #[test]
+    fn of_a_model_without_surface_nothing_is_said_to_be_missing_but_that() {
+        let all = Crop::Box([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]);
+        for crop in [Crop::Auto, Crop::None, Crop::Object, all] {
+            let reason = crop.object(&TriMesh::default(), &[]).unwrap_err();
+            assert_eq!(reason, "the model has no surface", "{crop:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What is wrong is said: which file, which key, which value, which bound, and by the exit code.
 
-use crate::support::{PROGRAM, Workbench, assert_says, record, small_camera, summary};
+use crate::support::{EVERY_FRAME, PROGRAM, Workbench, assert_says, record, small_camera, summary};
 use std::{fs, io, process::Command};
 
 #[test]
@@ -20,7 +20,8 @@ fn damaged_images_cost_their_own_frame_only() {
     let stranger = fs::read_dir(other.join("depth")).unwrap().next().unwrap();
     fs::copy(stranger.unwrap().path(), &images[3]).unwrap();
 
-    let output = bench.replay(&[]);
+    let config = bench.write("every-frame.toml", EVERY_FRAME);
+    let output = bench.replay(&["--config", config.to_str().unwrap()]);
     assert_says(
         &output,
         0,
@@ -116,10 +117,33 @@ fn poses_must_be_numbers_and_frames_without_one_are_lost() {
     assert_says(&output, 1, &["bad.txt: line 2", "tx"]);
 
     let one = bench.write("one.txt", "100.01 0 0 0 0 0 0 1\n");
-    let output = bench.replay(&["--poses", one.to_str().unwrap()]);
+    let config = bench.write("every-frame.toml", EVERY_FRAME);
+    let config = ["--config", config.to_str().unwrap()];
+    let output = bench.replay(&[&config[..], &["--poses", one.to_str().unwrap()]].concat());
     assert_says(&output, 0, &["no given pose within 20 ms"]);
     let frames = &summary(&output)["frames"];
     assert_eq!((&frames["fused"], &frames["lost"]), (&1.into(), &1.into()));
+}
+
+#[test]
+fn a_model_without_surface_is_no_success_and_not_for_want_of_an_object() {
+    let bench = Workbench::with_frames(1);
+    let reason = "1 frames were fused, but no place was seen often enough for a surface (fusion.min_surface_weight)";
+    let config = bench.write("crop.toml", "[object]\ncrop = \"object\"\n");
+    let config = ["--config", config.to_str().unwrap()];
+    // Nor is it for want of what lies in a box.
+    for more in [&[][..], &["--roi", "-1,-1,0,1,1,2"]] {
+        let output = bench.replay(&[&config[..], more].concat());
+        assert_says(&output, 1, &[reason]);
+        let told = summary(&output);
+        assert_eq!(told["status"], "failed");
+        assert!(told["failures"][0].as_str().unwrap().starts_with(reason));
+        assert_eq!(told["base_mesh"]["faces"], 0);
+        let warnings = told["warnings"].to_string();
+        let missing = "base.ply is of the whole scene: the model has no surface";
+        assert!(warnings.contains(missing), "{warnings}");
+        fs::remove_dir_all(bench.path("out")).unwrap();
+    }
 }
 
 #[test]
@@ -135,7 +159,9 @@ fn a_session_without_depth_in_range_fails_with_its_counts() {
         1,
         &["could be fused: 3 frames, of which 0 damaged, 3 without depth"],
     );
-    assert_eq!(summary(&output)["status"], "failed");
+    let told = summary(&output);
+    assert_eq!(told["status"], "failed");
+    assert_eq!(told["not_refined_reason"], "there is no scan to refine");
 }
 
 #[test]
@@ -268,10 +294,12 @@ fn what_cannot_be_printed_is_told_but_not_that_nobody_reads_it() {
 #[test]
 fn what_cannot_be_said_on_standard_error_ends_no_run() {
     let bench = Workbench::with_frames(2);
+    let config = bench.write("every-frame.toml", EVERY_FRAME);
     let script = format!(
-        "exec {PROGRAM} replay {} --out {} --no-refine 2>/dev/full",
+        "exec {PROGRAM} replay {} --out {} --config {} --no-refine 2>/dev/full",
         bench.session().display(),
-        bench.path("out").display()
+        bench.path("out").display(),
+        config.display()
     );
     let output = Command::new("sh").args(["-c", &script]).output().unwrap();
     assert_eq!(output.status.code(), Some(0));

@@ -61,6 +61,8 @@ fn a_scan_is_started_steered_and_finished() {
     daemon.await_status("a frame after the pause", |status| {
         fused(status) > fused(&paused)
     });
+    // One that ended before would be told of as failed.
+    daemon.await_surface();
 
     assert_eq!(client.post("/api/v1/scan/finish", "").status, 202);
     daemon.await_state("idle");

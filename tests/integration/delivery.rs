@@ -1,7 +1,8 @@
 //! What of a scan is delivered: the object alone, closed, and with its poses put right.
 
 use crate::support::{
-    PROGRAM, Workbench, assert_says, demo, fuse, fused_demo, record, small_camera, summary,
+    EVERY_FRAME, PROGRAM, Workbench, assert_says, demo, fuse, fused_demo, record, small_camera,
+    summary,
 };
 use relief::{export::read_ply, geometry::EdgeAdjacency};
 use std::{
@@ -106,7 +107,14 @@ fn given_poses_are_polished_on_request() {
     let rows: Vec<String> = times.enumerate().map(row).collect();
     fs::write(&poses, rows.join("\n")).unwrap();
     let poses = poses.to_str().unwrap();
-    let output = workbench.replay(&["--voxel-size", "0.006", "--poses", poses, "--polish-poses"]);
+    let config = workbench.write("every-frame.toml", EVERY_FRAME);
+    let config = [
+        "--config",
+        config.to_str().unwrap(),
+        "--voxel-size",
+        "0.006",
+    ];
+    let output = workbench.replay(&[&config[..], &["--poses", poses, "--polish-poses"]].concat());
     assert_says(&output, 0, &[]);
     let told = summary(&output);
     assert_eq!(told["frames"]["fused"], 3);

@@ -1,6 +1,6 @@
 //! The program as a service: its configuration, its unit, its man pages.
 
-use crate::support::{PROGRAM, Workbench, assert_says};
+use crate::support::{EVERY_FRAME, PROGRAM, Workbench, assert_says};
 use serde_json::Value;
 use std::{
     fs,
@@ -105,9 +105,11 @@ fn log_lines_for_the_journal_have_a_priority_and_neither_time_nor_colour() {
     let (mut journal, stderr) = UnixStream::pair().unwrap();
     let socket = fs::metadata(format!("/proc/self/fd/{}", stderr.as_raw_fd())).unwrap();
     let out = bench.path("out");
+    let config = bench.write("every-frame.toml", EVERY_FRAME);
     let mut command = relief(&["replay", "--no-refine", "--json"]);
     command
         .args([bench.session(), "--out".into(), out])
+        .args(["--config".into(), config])
         .env(
             "JOURNAL_STREAM",
             format!("{}:{}", socket.dev(), socket.ino()),

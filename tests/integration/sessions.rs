@@ -1,6 +1,8 @@
 //! `relief session`, and recordings in place of folders of images.
 
-use crate::support::{PROGRAM, Workbench, assert_says, demo, fuse, fused_demo, summary};
+use crate::support::{
+    EVERY_FRAME, PROGRAM, Workbench, assert_says, demo, fuse, fused_demo, summary,
+};
 use serde_json::Value;
 use std::{
     fs,
@@ -49,6 +51,7 @@ fn a_session_without_a_whole_frame_leaves_nothing() {
 fn what_is_damaged_is_left_out_and_told_of() {
     let bench = Workbench::with_frames(3);
     bench.edit("session.toml", "[light]", "[light]\ncolour = 850");
+    let config = bench.write("every-frame.toml", EVERY_FRAME);
     fs::remove_file(bench.session().join("depth/00001.png")).unwrap();
     for command in ["import", "export"] {
         let out = bench.path(command);
@@ -67,7 +70,8 @@ fn what_is_damaged_is_left_out_and_told_of() {
             (&2.into(), &1.into())
         );
         // What there is can be played.
-        base_mesh(&out, &bench.path(&format!("{command}ed")));
+        let fused = bench.path(&format!("{command}ed"));
+        fuse(&out, &fused, &["--config", text(&config)]);
     }
 }
 

@@ -137,6 +137,9 @@ turns = \"shared\"
 nice = 0
 ";
 
+/// A configuration by which a single frame makes a surface.
+pub const EVERY_FRAME: &str = "[fusion]\nmin_surface_weight = 0.1\n";
+
 /// Fuses a session into a folder and does not refine it. Multipath stays in, since most of the time would go into taking it off.
 pub fn fuse(session: &Path, out: &Path, arguments: &[&str]) {
     let output = Command::new(PROGRAM)

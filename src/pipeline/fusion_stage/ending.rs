@@ -73,6 +73,14 @@ impl FusionStage {
                 faces = base.faces.len(),
                 "base mesh extracted"
             );
+            let is_empty = base.faces.is_empty();
+            self.summary.no_surface_reason = is_empty.then(|| {
+                format!(
+                    "{} frames were fused, but no place was seen often enough for a surface (fusion.min_surface_weight): \
+                     scan for longer",
+                    self.trajectory.len()
+                )
+            });
             let trajectory = std::mem::take(&mut self.trajectory);
             self.summary.scan = Some(Arc::new(FusedScan {
                 base,

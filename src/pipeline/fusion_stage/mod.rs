@@ -124,7 +124,8 @@ pub fn choose_object(
     roi: Option<&Roi>,
     crop: Crop,
 ) -> Result<TriMesh, String> {
-    let Some(roi) = roi else {
+    // Of a model without surface the crop says so, whichever part of it is asked for.
+    let Some(roi) = roi.filter(|_| !base.faces.is_empty()) else {
         return crop.object(base, world_from_cameras);
     };
     let object = select_roi(base, roi);
@@ -153,6 +154,8 @@ pub struct FusionSummary {
     pub losses: Losses,
     /// What of the scene found no place in the model.
     pub refusal: Option<String>,
+    /// Why the model has no surface; `None` if it has one, or nothing was fused.
+    pub no_surface_reason: Option<String>,
     /// Why the scan was not improved at its end; `None` if it was tried in full.
     pub unimproved_reason: Option<String>,
     /// Length of the camera's path, metres.
