@@ -228,13 +228,16 @@ fn pipeline_params(
         session: Some(&args.session),
     };
     let found = config::find_calibration(info, &places)?;
-    let poses = args.poses.as_deref().map(replay::read_poses).transpose()?;
+    let poses = match &args.poses {
+        Some(path) => Some(given_poses(path, &args.session, &config)?),
+        None => None,
+    };
     let common = control::params_of_run(session_name(&args.session), config, found, info);
     Ok(PipelineParams {
         is_refined: !args.no_refine,
         warnings: [common.warnings, tell_unknown_keys(&args.session)].concat(),
         roi: args.roi.map(|roi| roi.0),
-        poses: poses.map(|poses| GivenPoses::new(&poses)),
+        poses,
         n_threads: args.threads.unwrap_or_else(all_processors),
         when_full: match args.realtime {
             true => WhenFull::Drop,
@@ -243,6 +246,35 @@ fn pipeline_params(
         record: args.record,
         ..common
     })
+}
+
+/// The poses of a file, for the frames of a session. Those that no frame is fused at may lie anywhere, as where they were measured on
+/// the way to the scene; where some lie beyond the volume the recording tells, played once, whether they matter.
+fn given_poses(path: &Path, session: &Path, config: &Config) -> anyhow::Result<GivenPoses> {
+    let poses = GivenPoses::new(&replay::read_poses(path)?);
+    let reach_m = config.fusion.reach_m();
+    if poses.are_within(reach_m) {
+        return Ok(poses);
+    }
+    let mut camera = open_recording(session, &config.devices, Pacing::AsFastAsPossible)?;
+    let mut n_damaged = 0;
+    while let Some(frame) = next_frame(camera.as_mut(), &mut n_damaged)? {
+        let time_secs = frame.device_time_secs;
+        let beyond = poses.at_beyond(time_secs, reach_m);
+        if let Some(pose) = beyond.filter(|_| frame.depth.is_some()) {
+            let at = pose.translation.vector;
+            bail!(
+                "{}: the pose at {time_secs:.6} s lies at {:.3} {:.3} {:.3} m, each must be within {reach_m:.3} m of 0, which is as far as \
+                 voxels of {} m reach (fusion.voxel_size_m): shift the poses so that the scene lies near the origin",
+                path.display(),
+                at.x,
+                at.y,
+                at.z,
+                config.fusion.voxel_size_m
+            );
+        }
+    }
+    Ok(poses)
 }
 
 /// `relief demo`.

@@ -4,7 +4,7 @@ use super::icp::IcpParams;
 use super::loop_closing::LoopClosingParams;
 use super::polish::PolishParams;
 use super::preprocess::DepthRange;
-use super::volume::TsdfVolume;
+use super::volume::{HALF_SIDE_VOXELS, TsdfVolume};
 use serde::{Deserialize, Serialize};
 
 /// What fusion needs to know; distances in metres.
@@ -159,6 +159,11 @@ impl FusionParams {
         within("max_revisions", self.max_revisions as f64, 0.0, 10.0)?;
         self.polish.validate(within)?;
         self.loop_closing.validate(within)
+    }
+
+    /// How far the volume reaches from the world's origin along each axis, metres.
+    pub fn reach_m(&self) -> f64 {
+        self.voxel_size_m * f64::from(HALF_SIDE_VOXELS)
     }
 
     /// Distance at which signed distances are cut off, metres.

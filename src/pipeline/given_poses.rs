@@ -28,6 +28,16 @@ impl GivenPoses {
         GivenPoses(poses.iter().map(pose).collect())
     }
 
+    /// Whether all of them lie within so far of the world's origin along each axis, metres.
+    pub fn are_within(&self, reach_m: f64) -> bool {
+        self.0.iter().all(|(_, pose)| is_within(pose, reach_m))
+    }
+
+    /// The pose of that time, if it lies farther than that.
+    pub fn at_beyond(&self, time_secs: f64, reach_m: f64) -> Option<Pose> {
+        self.at(time_secs).filter(|pose| !is_within(pose, reach_m))
+    }
+
     /// The pose of that time, if one was measured within 20 ms: that one where the times are the same, else between its
     /// neighbours where they are 40 ms apart at most, else the nearest.
     pub fn at(&self, time_secs: f64) -> Option<Pose> {
@@ -46,6 +56,10 @@ impl GivenPoses {
         }
         (apart_secs(nearest) <= MAX_APART_SECS).then_some(nearest.1)
     }
+}
+
+fn is_within(pose: &Pose, reach_m: f64) -> bool {
+    pose.translation.vector.amax() <= reach_m
 }
 
 #[cfg(test)]
@@ -83,6 +97,14 @@ mod tests {
             assert_eq!(x_at(&poses, time_secs), x, "{time_secs}");
         }
         assert_eq!(x_at(&poses_at(&[]), 1.0), None);
+    }
+
+    #[test]
+    fn poses_lie_within_reach_along_each_axis() {
+        let poses = poses_at(&[-3.0, 1.0, 2.0]);
+        assert!(poses.are_within(3.0) && !poses.are_within(2.9));
+        assert!(poses.at_beyond(-3.0, 2.9).is_some());
+        assert_eq!(poses.at_beyond(2.0, 2.9), None);
     }
 
     #[test]

@@ -126,6 +126,39 @@ fn poses_must_be_numbers_and_frames_without_one_are_lost() {
 }
 
 #[test]
+fn poses_beyond_the_volume_are_refused_where_a_frame_uses_them() {
+    let bench = Workbench::with_frames(2);
+    let far = bench.write(
+        "far.txt",
+        "100.0 0 0 0 0 0 0 1\n100.033333 0 -9.5 0 0 0 0 1\n",
+    );
+    let output = bench.replay(&["--poses", far.to_str().unwrap()]);
+    let pieces = [
+        "far.txt: the pose at 100.033333 s lies at 0.000 -9.500 0.000 m",
+        "within 8.192 m of 0",
+        "shift the poses",
+    ];
+    assert_says(&output, 1, &pieces);
+    assert!(!bench.path("out").exists());
+    // Larger voxels reach farther, and at a minute before the first frame the camera may have been anywhere.
+    let early = bench.write(
+        "early.txt",
+        "40.0 20 0 0 0 0 0 1\n100.0 0 0 0 0 0 0 1\n100.033333 0 0 0 0 0 0 1\n",
+    );
+    let config = bench.write("every-frame.toml", EVERY_FRAME);
+    let config = ["--config", config.to_str().unwrap()];
+    for more in [
+        &["--poses", far.to_str().unwrap(), "--voxel-size", "0.003"][..],
+        &["--poses", early.to_str().unwrap()],
+    ] {
+        let output = bench.replay(&[&config[..], more].concat());
+        assert_says(&output, 0, &[]);
+        assert_eq!(summary(&output)["frames"]["fused"], 2);
+        fs::remove_dir_all(bench.path("out")).unwrap();
+    }
+}
+
+#[test]
 fn a_model_without_surface_is_no_success_and_not_for_want_of_an_object() {
     let bench = Workbench::with_frames(1);
     let reason = "1 frames were fused, but no place was seen often enough for a surface (fusion.min_surface_weight)";
