@@ -1,7 +1,8 @@
 //! Meshes as binary glTF 2.0, which browsers, phones and presentation programs open.
 //!
 //! The mesh keeps its own coordinates (metres, frame `world`: x right, y down, z forward); the root node turns the scene by
-//! 180° about x, so that it stands upright in glTF's y-up frame.
+//! 180° about x, so that it stands upright in glTF's y-up frame. Where the frame is that of given poses nobody says which way is
+//! up in it, and it is turned all the same: a reader that knows leaves the root node's rotation out.
 
 use super::{ExportError, VertexAttributes, atomic::write_atomically, validate::check_surface};
 use crate::geometry::TriMesh;

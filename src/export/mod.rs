@@ -2,8 +2,9 @@
 //! calibration leaves: its page.
 //!
 //! Every writer goes through [`write_atomically`]: a file stands under its final name whole or not at all. Lengths are
-//! metres and the frame is `world` (the first camera: x right, y down, z forward), except that the scene of a GLB is turned
-//! to glTF's y-up by its root node. Nothing here decides what is exported or where; it is told by the pipeline.
+//! metres and the frame is `world` (the first camera: x right, y down, z forward; where poses are given, theirs), except that
+//! the scene of a GLB is turned half about x, to glTF's y-up from y down, by its root node. Nothing here decides what is
+//! exported or where; it is told by the pipeline.
 
 mod atomic;
 mod attributes;

@@ -59,7 +59,7 @@ fn header(mesh: &TriMesh, attributes: Option<&VertexAttributes>) -> String {
     });
     format!(
         "ply\nformat binary_little_endian 1.0\n\
-         comment relief: metres, frame of the first camera (x right, y down, z forward)\n\
+         comment relief: metres, frame of the first camera (x right, y down, z forward), or of the poses given\n\
          element vertex {}\n\
          property float x\nproperty float y\nproperty float z\n\
          property float nx\nproperty float ny\nproperty float nz\n{properties}\
@@ -100,6 +100,13 @@ mod tests {
         }
         write_ply(&path, &TriMesh::default(), &[], None).unwrap();
         assert_eq!(read_ply(&path).unwrap(), TriMesh::default());
+    }
+
+    #[test]
+    fn the_comment_is_true_of_poses_that_were_given_as_well() {
+        let header = header(&TriMesh::default(), None);
+        let comment = header.lines().find(|line| line.starts_with("comment"));
+        assert!(comment.unwrap().ends_with(", or of the poses given"));
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! Tracking and fusion: KinectFusion (Newcombe et al. 2011) on the CPU, with exact lens distortion.
 //!
 //! One depth image after the other is aligned to the model and fused into it. The model's frame, `world`, is the camera
-//! frame of the first image. When in doubt a frame is not fused: [`TrackingOutcome::Lost`] stops integration until a later
-//! frame fits the model again from the last good pose, or two frames from a place where the camera has been.
+//! frame of the first image, or, where poses are given, the frame of those. When in doubt a frame is not fused:
+//! [`TrackingOutcome::Lost`] stops integration until a later frame fits the model again from the last good pose, or two
+//! frames from a place where the camera has been.
 //!
 //! What was fused and is gone is taken back where a later frame sees through it. Not handled: what moves while it is seen.
 

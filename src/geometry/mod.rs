@@ -1,8 +1,9 @@
 //! Poses, the camera model, triangle meshes, closest points on them and the z-buffer rasteriser: everything that knows
 //! shape but not light.
 //!
-//! Frames of reference: `world` (first camera pose), `camera` (IR camera: x right, y down, z forward), `light`,
-//! and `pixel` (u right, v down, centres at integers). Transforms are `target_from_source` and chain by adjacent names.
+//! Frames of reference: `world` (first camera pose, or that of given poses), `camera` (IR camera: x right, y down, z
+//! forward), `light`, and `pixel` (u right, v down, centres at integers). Transforms are `target_from_source` and chain by
+//! adjacent names.
 
 mod bilinear;
 mod bvh;
