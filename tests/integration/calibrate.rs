@@ -173,6 +173,20 @@ fn a_response_is_measured_from_sphere_and_wall_into_its_file() {
     let [x, y, z] = device.light.position_m.unwrap();
     assert!((x - 0.052).hypot(y).hypot(z - 0.004) < 0.006, "{x} {y} {z}");
     assert!(device.flat_field.is_some() && device.gamma == Some(gamma));
+    // A complete calibration beside the recording does not say that its lobe was measured.
+    let complete = include_str!("../../config/calibration-kinect2.toml");
+    std::fs::write(sphere.join("calibration.toml"), complete).unwrap();
+    let fresh = root.path().join("fresh");
+    assert_says(&calibrate("light", &[&sphere, &wall], &fresh), 0, &[]);
+    let device = DeviceCalibration::read(&fresh.join("simulated-3.toml")).unwrap();
+    let measured: Vec<CalibrationKey> = device.keys().collect();
+    assert_eq!(
+        measured,
+        [
+            CalibrationKey::LightLobePower,
+            CalibrationKey::LightPosition
+        ]
+    );
     // A folder stands where the page is to be: what was found is told, and that it failed, once.
     let output = Command::new(PROGRAM)
         .args(["calibrate", "light", "--dry-run", "--json"])

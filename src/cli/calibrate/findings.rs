@@ -32,8 +32,6 @@ pub struct Findings {
     pub known_gamma: f64,
     /// Where it is from.
     pub gamma_origin: String,
-    /// Whether the calibration so far holds a measured lobe.
-    pub lobe_is_measured: bool,
 }
 
 /// An axis is told by the data where its interval is at most this share of what was believed beforehand.

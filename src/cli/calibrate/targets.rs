@@ -23,7 +23,7 @@ use relief::{
     capture::IrOffset,
     config::{
         self, CalibrationKey, CalibrationPlaces, Config, DeviceCalibration, FoundCalibration,
-        KeyOrigin, Measurement, Overrides, calibration_path,
+        Measurement, Overrides, calibration_path,
     },
     depth_correction::DepthCorrection,
     fusion::FusionParams,
@@ -347,10 +347,6 @@ fn investigate(
         priors,
         known_gamma: found.calibration.gamma,
         gamma_origin: found.origins[&CalibrationKey::Gamma].to_string(),
-        lobe_is_measured: matches!(
-            found.origins[&CalibrationKey::LightLobePower],
-            KeyOrigin::File(_)
-        ),
     })
 }
 
@@ -416,7 +412,7 @@ fn write(
         Aim::Light => {
             device.light.position_m = Some(findings.believed_position().into());
             // Place and lobe were fitted together; a lobe that was measured with the flat field belongs to that.
-            if !findings.lobe_is_measured {
+            if !has_lobe(&of.file)? {
                 device.light.lobe_power = Some(state.light.lobe_power);
                 keys.push(CalibrationKey::LightLobePower);
             }
@@ -431,9 +427,29 @@ fn write(
     merge(&of.file, &device, &of.info, args.file.replace)
 }
 
+/// Whether the light's lobe is in a device's own file; one that is not there has none. A complete calibration has a lobe always, as that
+/// beside a recording, and says nothing of whether it was measured.
+fn has_lobe(file: &Path) -> anyhow::Result<bool> {
+    let in_file = file.exists().then(|| DeviceCalibration::read(file));
+    let device = in_file.transpose()?;
+    Ok(device.is_some_and(|device| device.holds(CalibrationKey::LightLobePower)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_lobe_is_measured_where_the_device_s_own_file_holds_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("simulated-1.toml");
+        assert!(!has_lobe(&file).unwrap());
+        let device = "version = 1\nserial = \"simulated-1\"\nsensor = \"kinect2\"\n";
+        std::fs::write(&file, device).unwrap();
+        assert!(!has_lobe(&file).unwrap());
+        std::fs::write(&file, format!("{device}[light]\nlobe_power = 1.2\n")).unwrap();
+        assert!(has_lobe(&file).unwrap());
+    }
 
     #[test]
     fn sessions_of_one_name_can_be_told_apart() {
