@@ -54,6 +54,9 @@ pub enum RecordedScanError {
     /// The image cannot be understood.
     #[error("the scan does not say where its light is, or what full scale is")]
     NoLight,
+    /// An image is of another size, lens, scale or light than the first one.
+    #[error("{}: another camera than that of the first shading image", .0.display())]
+    OtherCamera(PathBuf),
     /// What stands beside an image makes no sense.
     #[error("{} is malformed: {reason}", path.display())]
     Meta {
@@ -98,7 +101,9 @@ impl RecordedScan {
                     "the camera has {width}×{height} pixels, the image has not"
                 )));
             }
-            info.get_or_insert(camera);
+            if !is_same_camera(info.get_or_insert_with(|| camera.clone()), &camera) {
+                return Err(RecordedScanError::OtherCamera(path));
+            }
             accepted.push(shading_snapshot(snapshot, &meta));
         }
         Ok(RecordedScan {
@@ -116,6 +121,20 @@ impl RecordedScan {
             },
         })
     }
+}
+
+/// Whether two images are of one camera; its gain may have changed between them.
+fn is_same_camera(first: &CameraInfo, other: &CameraInfo) -> bool {
+    let of = |info: &CameraInfo| {
+        (
+            info.sensor,
+            info.serial.clone(),
+            info.intrinsics,
+            info.ir_full_scale,
+            info.light,
+        )
+    };
+    of(first) == of(other)
 }
 
 /// The warning about shading images that are not whole, if there are any.
@@ -208,5 +227,101 @@ fn shading_snapshot(stored: StoredSnapshot, meta: &SnapshotMeta) -> ShadingSnaps
         unlit_counts: stored.unlit.map(|image| image.map(|&c| f32::from(c))),
         depth_m: stored.depth_m,
         world_from_camera: stored.world_from_camera,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::deliver::Outbox;
+    use super::*;
+    use crate::geometry::Pose;
+    use depth_camera::{DepthCamera, Image};
+    use simulated::SimulatedCamera;
+    use std::fs;
+
+    fn info() -> CameraInfo {
+        let camera = SimulatedCamera::kinect2_plaque(1, 0);
+        let mut info = camera.info().clone();
+        (info.intrinsics.width, info.intrinsics.height) = (8, 6);
+        info.n_frames = None;
+        info
+    }
+
+    /// Writes a scan without surface, with one shading image of each of two cameras.
+    fn write(folder: &Path, cameras: [&CameraInfo; 2]) {
+        let outbox = Outbox::inside(folder);
+        outbox.base_mesh(&TriMesh::default());
+        outbox.trajectory(&[(1.0, Pose::identity())]);
+        for (number, info) in cameras.into_iter().enumerate() {
+            let (width, height) = (info.intrinsics.width, info.intrinsics.height);
+            let snapshot = ShadingSnapshot {
+                frame_id: number as u64,
+                device_time_secs: 1.0,
+                n_exposures: 1,
+                ir_counts: Image::filled(width, height, 100.0),
+                unlit_counts: None,
+                depth_m: Image::filled(width, height, 0.5),
+                world_from_camera: Pose::identity(),
+            };
+            let alone = folder.join(format!("of-{number}"));
+            fs::create_dir(&alone).unwrap();
+            Outbox::inside(&alone).snapshots(&[snapshot], info);
+            let numbered = folder.join(SNAPSHOTS).join(format!("{number:03}"));
+            fs::create_dir_all(folder.join(SNAPSHOTS)).unwrap();
+            fs::rename(alone.join(SNAPSHOTS).join("000"), numbered).unwrap();
+        }
+    }
+
+    fn refusal(cameras: [&CameraInfo; 2]) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), cameras);
+        RecordedScan::read(folder.path()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn all_shading_images_are_of_one_camera() {
+        let first = info();
+        let folder = tempfile::tempdir().unwrap();
+        let other_gain = CameraInfo {
+            ir_gain: Some(7),
+            ..first.clone()
+        };
+        write(folder.path(), [&first, &other_gain]);
+        let read = RecordedScan::read(folder.path()).unwrap();
+        assert_eq!(read.info.ir_gain, first.ir_gain);
+        assert_eq!(read.scan.snapshots.unwrap().accepted.len(), 2);
+
+        let mut larger = first.clone();
+        larger.intrinsics.width = 16;
+        let other_scale = CameraInfo {
+            ir_full_scale: Some(1023.0),
+            ..first.clone()
+        };
+        let without_light = CameraInfo {
+            light: None,
+            ..first.clone()
+        };
+        for other in [larger, other_scale, without_light] {
+            let refusal = refusal([&first, &other]);
+            assert!(
+                refusal.ends_with(
+                    "snapshots/001/meta.json: another camera than that of the first shading image"
+                ),
+                "{refusal}"
+            );
+        }
+    }
+
+    #[test]
+    fn full_scale_is_positive() {
+        for full_scale in [0.0, -1.0] {
+            let bad = CameraInfo {
+                ir_full_scale: Some(full_scale),
+                ..info()
+            };
+            let refusal = refusal([&bad, &bad]);
+            let reason = format!("ir_full_scale is {full_scale}, must be positive and finite");
+            assert!(refusal.ends_with(&reason), "{refusal}");
+        }
     }
 }

@@ -59,6 +59,13 @@ impl SnapshotMeta {
                 return Err(format!("intrinsics.{key} is {focal_px}, must be positive"));
             }
         }
+        if let Some(full_scale) = self.ir_full_scale
+            && !(full_scale > 0.0 && full_scale.is_finite())
+        {
+            return Err(format!(
+                "ir_full_scale is {full_scale}, must be positive and finite"
+            ));
+        }
         let kind = match sensor {
             Sensor::Kinect1 => LightKind::Lamp,
             Sensor::Kinect2 => LightKind::Emitter,
