@@ -6,6 +6,7 @@ use super::{
     snapshot_meta::SnapshotMeta,
 };
 use crate::{
+    capture::EVENTS_FILE,
     export::{
         ExportError, SNAPSHOTS, StoredSnapshot, StoredSnapshots, read_ply, read_snapshots,
         read_trajectory,
@@ -40,6 +41,9 @@ pub enum RecordedScanError {
     /// There is no such folder.
     #[error("{} is no output folder of a scan", .0.display())]
     NoFolder(PathBuf),
+    /// It is what came of a refinement.
+    #[error("{} is the output of `relief refine`; give the folder that was fused", .0.display())]
+    Refinement(PathBuf),
     /// There are no shading images, so that the camera is unknown too.
     #[error("{} holds no shading images", .0.display())]
     NoSnapshots(PathBuf),
@@ -76,6 +80,9 @@ impl RecordedScan {
     pub fn read(folder: &Path) -> Result<Self, RecordedScanError> {
         if !folder.is_dir() {
             return Err(RecordedScanError::NoFolder(folder.to_owned()));
+        }
+        if is_refinement(folder) {
+            return Err(RecordedScanError::Refinement(folder.to_owned()));
         }
         let (meshes, stored) = rayon::join(|| read_meshes(folder), || read_snapshots(folder));
         let ((base, delivered), StoredSnapshots { whole, unfinished }) = (meshes?, stored?);
@@ -121,6 +128,12 @@ impl RecordedScan {
             },
         })
     }
+}
+
+/// Whether a folder is what `relief refine` leaves: a base mesh, of which a part may be missing or made up, and neither poses nor events.
+fn is_refinement(folder: &Path) -> bool {
+    let has = |name: &str| folder.join(name).exists();
+    has(BASE_PLY) && !has(TRAJECTORY) && !has(EVENTS_FILE)
 }
 
 /// Whether two images are of one camera; its gain may have changed between them.
@@ -310,6 +323,21 @@ mod tests {
                 "{refusal}"
             );
         }
+    }
+
+    #[test]
+    fn the_output_of_a_refinement_is_told_from_a_scan_that_lacks_its_poses() {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), [&info(), &info()]);
+        fs::remove_file(folder.path().join(TRAJECTORY)).unwrap();
+        let refusal = || RecordedScan::read(folder.path()).unwrap_err().to_string();
+        assert!(
+            refusal().ends_with("the output of `relief refine`; give the folder that was fused"),
+            "{}",
+            refusal()
+        );
+        fs::write(folder.path().join(EVENTS_FILE), "").unwrap();
+        assert!(refusal().contains("trajectory.txt"), "{}", refusal());
     }
 
     #[test]
