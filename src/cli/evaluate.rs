@@ -29,7 +29,7 @@ use relief::{
     shading::Calibration,
     snapshot::ShadingSnapshot,
 };
-use std::io::Write;
+use std::{io::Write, path::Path};
 
 /// `relief evaluate`.
 pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
@@ -41,13 +41,13 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.scan.threads.unwrap_or_else(run::all_processors).get())
         .build()?;
-    let truth = args.truth.as_deref().map(read_ply).transpose()?;
+    let truth = args.truth.as_deref().map(|path| read_truth(path, args));
+    let truth = truth.transpose()?;
     let scan = Scan::new(recorded, args, config.object.crop)?;
-    let truth = truth.map(|mesh| {
-        let bounds = args.truth_box.map(|bounds| [bounds.0.min, bounds.0.max]);
-        Truth::new(mesh, bounds)
-    });
-    // What cannot be read leaves no folder behind.
+    // Before the long work, since a truth that lies elsewhere is an error.
+    let truth = truth.map(|truth| pool.install(|| scan.compared(truth, args)));
+    let truth = truth.transpose()?;
+    // What cannot be read or compared leaves no folder behind.
     let out = OutputFolder::claim(&args.out)?;
     let report =
         pool.install(|| scan.evaluate(args, truth.as_ref(), &found.calibration, &config.refine))?;
@@ -61,6 +61,25 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
         )?,
     }
     Ok(Verdict::Done)
+}
+
+/// A mesh that was measured by something better.
+fn read_truth(path: &Path, args: &EvaluateArgs) -> anyhow::Result<Truth> {
+    let mesh = read_ply(path)?;
+    ensure!(
+        !mesh.faces.is_empty(),
+        "{} has no faces: a mesh is needed, not points",
+        path.display()
+    );
+    let bounds = args.truth_box.map(|bounds| [bounds.0.min, bounds.0.max]);
+    Ok(Truth::new(mesh, bounds))
+}
+
+/// A truth that the scan's base mesh was compared with.
+struct ComparedTruth {
+    truth: Truth,
+    truth_from_world: Pose,
+    base: TruthFigures,
 }
 
 /// What is evaluated.
@@ -100,18 +119,16 @@ impl Scan {
     fn evaluate(
         &self,
         args: &EvaluateArgs,
-        truth: Option<&Truth>,
+        truth: Option<&ComparedTruth>,
         calibration: &Calibration,
         params: &RefineParams,
     ) -> anyhow::Result<EvaluationReport> {
         let rays = RayGrid::new(CameraModel::new(self.info.intrinsics));
         let optics = self.optics(&rays, calibration)?;
         let subject = self.subject(&optics);
-        let truth_from_world = args.truth_pose.map_or(Pose::identity(), |pose| pose.0);
-        let against =
-            |mesh: &TriMesh| truth.map(|truth| self.against(truth, truth_from_world, mesh));
-        // First of all, since a truth that lies elsewhere is an error.
-        let base_truth = against(&self.object).transpose()?;
+        let against = |mesh: &TriMesh| {
+            truth.map(|truth| self.against(&truth.truth, truth.truth_from_world, mesh))
+        };
         let refined = refine(&subject, params, |_| true).map(|refined| refined.mesh);
         let refined_mesh = refined.as_ref().ok();
         let refined_truth = refined_mesh.and_then(against).transpose()?;
@@ -126,8 +143,8 @@ impl Scan {
         };
         Ok(EvaluationReport {
             session: self.session.clone(),
-            truth: base_truth.map(|base| AgainstTruth {
-                base,
+            truth: truth.map(|truth| AgainstTruth {
+                base: truth.base,
                 refined: refined_truth,
             }),
             n_folds,
@@ -137,6 +154,21 @@ impl Scan {
             ablations,
             not_refined_reason: refined.as_ref().err().map(ToString::to_string),
             pictures: self.pictures(&judged, refined_mesh),
+        })
+    }
+
+    /// A truth with what the base mesh is against it.
+    fn compared(
+        &self,
+        truth: Truth,
+        args: &EvaluateArgs,
+    ) -> Result<ComparedTruth, SurfaceErrorFailure> {
+        let truth_from_world = args.truth_pose.map_or(Pose::identity(), |pose| pose.0);
+        let base = self.against(&truth, truth_from_world, &self.object)?;
+        Ok(ComparedTruth {
+            truth,
+            truth_from_world,
+            base,
         })
     }
 
@@ -312,14 +344,11 @@ mod tests {
         }
     }
 
-    fn evaluated(truth: Option<&Truth>) -> anyhow::Result<EvaluationReport> {
-        let calibration = Calibration::shipped(Sensor::Kinect2).map_err(anyhow::Error::msg)?;
-        scan().evaluate(&arguments(), truth, &calibration, &RefineParams::default())
-    }
-
     #[test]
     fn what_comes_to_nothing_stands_in_the_report() {
-        let report = evaluated(None).unwrap();
+        let calibration = Calibration::shipped(Sensor::Kinect2).unwrap();
+        let report = scan().evaluate(&arguments(), None, &calibration, &RefineParams::default());
+        let report = report.unwrap();
         let n_views = MAX_VIEWS + 1;
         let reason = RefineError::TooManyViews { n_views }.to_string();
         assert_eq!(report.not_judged_reason.as_ref(), Some(&reason));
@@ -336,7 +365,6 @@ mod tests {
     #[test]
     fn a_truth_that_lies_elsewhere_ends_it_before_the_long_work() {
         let truth = Truth::new(TriMesh::default(), None);
-        let error = evaluated(Some(&truth)).unwrap_err();
-        assert!(error.is::<SurfaceErrorFailure>(), "{error}");
+        assert!(scan().compared(truth, &arguments()).is_err());
     }
 }

@@ -29,6 +29,8 @@ const AIR_M: f64 = 0.03;
 const MAX_DISTANCE_M: f64 = 0.01;
 /// Points this near take part in the alignment at first, metres.
 const START_REACH_M: f64 = 0.02;
+/// A truth that is wider than this is hardly in metres: it is more than a room.
+const MAX_WIDTH_M: f64 = 20.0;
 /// Truth with surface nearer than this is complete, metres.
 const COMPLETE_M: f64 = 0.002;
 
@@ -79,8 +81,22 @@ pub enum SurfaceErrorFailure {
         /// All points in the box.
         n_points: usize,
     },
+    /// Nothing of the mesh is near the truth, as where one is in millimetres.
+    #[error(
+        "none of the {n_points} points of the mesh in the box lies near the truth, which is {width_m:.3} m wide: is it in metres, \
+         and are its pose and box right?"
+    )]
+    OtherUnits {
+        /// All points in the box.
+        n_points: usize,
+        /// The longest side of the truth, metres.
+        width_m: f64,
+    },
     /// No camera saw what is to be compared.
-    #[error("none of the {n_points} points of the mesh lies on truth that a camera saw")]
+    #[error(
+        "none of the {n_points} points of the mesh lies on truth that a camera saw: its pose or box is wrong, or its faces are \
+         turned inside out"
+    )]
     Unseen {
         /// All points in the box.
         n_points: usize,
@@ -106,10 +122,7 @@ pub fn surface_error(
         .map(|(point, _)| *point)
         .collect();
     if near.len() < 100 {
-        return Err(SurfaceErrorFailure::Elsewhere {
-            n_near: near.len(),
-            n_points: samples.len(),
-        });
+        return Err(elsewhere(near.len(), samples.len(), truth.width_m()));
     }
     let every_fifth: Vec<_> = near.into_iter().step_by(5).collect();
     let aligned = align(truth, &every_fifth);
@@ -135,6 +148,15 @@ pub fn surface_error(
     }
     let completeness = completeness(truth, &moved, cameras.model, &poses);
     Ok(figures(&compared, completeness))
+}
+
+/// Why a mesh of so many points, of which so few are near the truth, is not compared.
+fn elsewhere(n_near: usize, n_points: usize, width_m: f64) -> SurfaceErrorFailure {
+    let is_out_of_scale = n_near == 0 && width_m > MAX_WIDTH_M;
+    match n_points == 0 || is_out_of_scale {
+        true => SurfaceErrorFailure::OtherUnits { n_points, width_m },
+        false => SurfaceErrorFailure::Elsewhere { n_near, n_points },
+    }
 }
 
 fn moved(mesh: &TriMesh, pose: &Pose) -> TriMesh {
@@ -355,7 +377,12 @@ mod tests {
     #[test]
     fn what_is_elsewhere_or_unseen_is_not_compared() {
         let away = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.5));
-        let result = error(&waves(0.0, 1.0), away);
+        let told = error(&waves(0.0, 1.0), away).unwrap_err().to_string();
+        let expected = "none of the 0 points of the mesh in the box lies near the truth, which is 0.160 m wide: is it in metres";
+        assert!(told.starts_with(expected), "{told}");
+        // In the box with its air, and farther off than points that take part.
+        let aside = increment(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.025));
+        let result = error(&waves(0.0, 1.0), aside);
         assert!(matches!(result, Err(SurfaceErrorFailure::Elsewhere { .. })));
         let truth = Truth::new(waves(0.0, 1.0), None);
         let model = camera();
@@ -367,5 +394,13 @@ mod tests {
         };
         let result = surface_error(&truth, &waves(0.0, 1.0), &cameras);
         assert!(matches!(result, Err(SurfaceErrorFailure::Unseen { .. })));
+    }
+
+    #[test]
+    fn a_truth_as_wide_as_a_hall_is_asked_for_its_unit_where_nothing_is_near() {
+        use SurfaceErrorFailure::{Elsewhere, OtherUnits};
+        assert!(matches!(elsewhere(0, 500, 150.0), OtherUnits { .. }));
+        assert!(matches!(elsewhere(1, 500, 150.0), Elsewhere { .. }));
+        assert!(matches!(elsewhere(0, 500, 0.15), Elsewhere { .. }));
     }
 }

@@ -41,16 +41,10 @@ impl Truth {
     pub fn new(mesh: TriMesh, bounds: Option<[Point3<f64>; 2]>) -> Self {
         let mesh = welded(&mesh);
         let whole = || {
-            let first = mesh.vertices.first().copied().unwrap_or(Point3::origin());
-            let ends = mesh
-                .vertices
-                .iter()
-                .fold([first; 2], |[low, high], vertex| {
-                    [low.inf(vertex), high.sup(vertex)]
-                });
+            let [low, high] = ends(&mesh);
             // The box's own border is kept away from, which here is no cut.
             let air = Vector3::repeat(BORDER_M);
-            [ends[0] - air, ends[1] + air]
+            [low - air, high + air]
         };
         let [low, high] = bounds.unwrap_or_else(whole);
         Truth {
@@ -71,6 +65,12 @@ impl Truth {
     /// Its normals at the vertices.
     pub(super) fn normals(&self) -> &[Vector3<f64>] {
         &self.normals
+    }
+
+    /// Its longest side, metres.
+    pub(super) fn width_m(&self) -> f64 {
+        let [low, high] = ends(&self.mesh);
+        (high - low).max()
     }
 
     /// Whether a point lies in the box made wider by so much, metres.
@@ -121,6 +121,15 @@ impl Truth {
                 }
         })
     }
+}
+
+/// The smallest and the largest corner of a mesh's box; the origin for one without vertices.
+fn ends(mesh: &TriMesh) -> [Point3<f64>; 2] {
+    let first = mesh.vertices.first().copied().unwrap_or(Point3::origin());
+    let vertices = mesh.vertices.iter();
+    vertices.fold([first; 2], |[low, high], vertex| {
+        [low.inf(vertex), high.sup(vertex)]
+    })
 }
 
 /// Points this near the border of the box are left out, metres.

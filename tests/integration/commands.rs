@@ -3,7 +3,11 @@
 use crate::support::{COARSE, PROGRAM, Workbench, assert_says, demo, fuse, summary};
 use depth_camera::Sensor;
 use mcap_session::open_session;
-use relief::{config::DeviceCalibration, export::read_ply};
+use relief::{
+    config::DeviceCalibration,
+    export::{read_ply, write_ply},
+    geometry::TriMesh,
+};
 use replay::Pacing;
 use serde_json::Value;
 use std::{
@@ -35,6 +39,26 @@ fn a_scan_is_evaluated_with_all_ablations_against_a_truth_and_refined_from_one_v
         "evaluate", "--config", config, "--out", out, "--truth", config,
     ];
     assert_says(&relief(&no_mesh, &[&scan]), 1, &["coarse.toml"]);
+    let points = TriMesh {
+        faces: Vec::new(),
+        ..read_ply(&base).unwrap()
+    };
+    let mut millimetres = read_ply(&base).unwrap();
+    let vertices = millimetres.vertices.iter_mut();
+    vertices.for_each(|vertex| vertex.coords *= 1000.0);
+    for (name, mesh, piece) in [
+        (
+            "points.ply",
+            points,
+            "points.ply has no faces: a mesh is needed",
+        ),
+        ("millimetres.ply", millimetres, "m wide: is it in metres"),
+    ] {
+        let path = bench.path(name);
+        write_ply(&path, &mesh, &mesh.vertex_normals(), None).unwrap();
+        let with_it = ["evaluate", "--config", config, "--out", out, "--truth"];
+        assert_says(&relief(&with_it, &[&path, &scan]), 1, &[piece]);
+    }
     assert!(!evaluation.exists());
     let fixed = ["evaluate", "--config", config, "--out", out, "--json"];
     let more = ["--folds", "2", "--truth", truth, "--ablations"];
