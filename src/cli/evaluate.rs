@@ -275,10 +275,10 @@ fn figures(frame_id: Option<u64>, held_out: &HeldOut) -> LeftOutView {
         refined,
         noise,
         ..
-    } = held_out;
+    } = held_out.reported();
     LeftOutView {
         frame_id,
-        n_pixels: *n_pixels,
+        n_pixels,
         intensity: [base.intensity, refined.intensity, noise.intensity],
         gradient: [base.gradient, refined.gradient, noise.gradient],
     }
@@ -353,6 +353,10 @@ mod tests {
         let reason = RefineError::TooManyViews { n_views }.to_string();
         assert_eq!(report.not_judged_reason.as_ref(), Some(&reason));
         assert_eq!(report.not_refined_reason.as_ref(), Some(&reason));
+        let json = serde_json::to_value(&report.overall).unwrap();
+        for key in ["intensity", "gradient"] {
+            assert_eq!(json[key], serde_json::json!([null, null, null]), "{key}");
+        }
         assert!(!report.ablations.is_empty());
         for ablation in &report.ablations {
             let AblationOutcome::Failed { not_judged_reason } = &ablation.outcome else {

@@ -62,7 +62,7 @@ pub struct TruthFigures {
     pub completeness: f64,
 }
 
-/// A view that was left out: root mean squares as shares of its mean observed linear intensity.
+/// A view that was left out: root mean squares as shares of its mean observed linear intensity, NaN where no pixel was compared.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct LeftOutView {
     /// Its frame; `None` for several views together.
@@ -232,7 +232,8 @@ fn with_something_changed(ablations: &[Ablation], line: &mut impl FnMut(&str)) {
         } = &ablation.outcome
         {
             let row = row(&ablation.what, figures);
-            line(&format!("{row} {slow_gain:.3} | {cpu_secs:.1} |"));
+            let slow_gain = number(*slow_gain, 3);
+            line(&format!("{row} {slow_gain} | {cpu_secs:.1} |"));
         }
     }
     for ablation in ablations {
@@ -287,14 +288,33 @@ fn row(name: &str, view: &LeftOutView) -> String {
     let mut text = format!("| {name} | {} |", view.n_pixels);
     for share in view.intensity.iter().chain(&view.gradient) {
         // Writing into a string does not fail.
-        let _ = write!(text, " {:.2} |", 100.0 * share);
+        let _ = write!(text, " {} |", number(100.0 * share, 2));
     }
     text
+}
+
+/// A number with so many decimals; a dash for one that does not exist.
+fn number(value: f64, decimals: usize) -> String {
+    match value.is_nan() {
+        true => "–".to_owned(),
+        false => format!("{value:.decimals$}"),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_view_that_judges_nothing_has_no_figures() {
+        let nothing = LeftOutView {
+            frame_id: Some(3),
+            n_pixels: 0,
+            intensity: [f64::NAN; 3],
+            gradient: [f64::NAN; 3],
+        };
+        assert_eq!(row("3", &nothing), "| 3 | 0 | – | – | – | – | – | – |");
+    }
 
     #[test]
     fn figures_and_pictures_stand_in_the_folder() {

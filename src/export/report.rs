@@ -191,7 +191,7 @@ pub struct Evidence {
 }
 
 /// Images held out from refinement against what is rendered from either mesh, integrated over pixels: root mean squares as
-/// shares of the mean observed linear intensity.
+/// shares of the mean observed linear intensity. Where none judged, the figures are NaN.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct HeldOut {
     /// How many were held out; none if there was a single one.

@@ -290,7 +290,7 @@ fn remeshing(distance: &RemeshDistance) -> Remeshing {
 }
 
 fn held_out(judgement: &Judgement) -> HeldOut {
-    let overall = &judgement.overall;
+    let overall = judgement.overall.reported();
     HeldOut {
         n_views: judgement.n_comparing(),
         intensity_base: overall.base.intensity,

@@ -43,6 +43,27 @@ pub struct HeldOut {
     pub slow_gain: f64,
 }
 
+impl HeldOut {
+    /// As it is reported: where no pixel was compared its figures are no numbers. To judge by, they are 0, by which neither surface is
+    /// better.
+    pub fn reported(self) -> HeldOut {
+        if self.n_pixels > 0 {
+            return self;
+        }
+        let none = ImageError {
+            intensity: f64::NAN,
+            gradient: f64::NAN,
+        };
+        HeldOut {
+            n_pixels: 0,
+            base: none,
+            refined: none,
+            noise: none,
+            slow_gain: f64::NAN,
+        }
+    }
+}
+
 /// What the views that were held out say.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Judgement {
@@ -281,6 +302,22 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_nothing_judged_has_no_figures_and_prefers_no_surface() {
+        let judgement = Judgement::of(&[]);
+        assert!(!judgement.prefers_base());
+        let reported = judgement.overall.reported();
+        for error in [reported.base, reported.refined, reported.noise] {
+            assert!(error.intensity.is_nan() && error.gradient.is_nan());
+        }
+        assert!(reported.slow_gain.is_nan());
+        let judged = HeldOut {
+            n_pixels: 1,
+            ..HeldOut::default()
+        };
+        assert_eq!(judged.reported(), judged);
+    }
 
     #[test]
     fn a_quarter_is_held_out_and_never_the_only_view() {

@@ -60,7 +60,7 @@ fn judge(
     let start_secs = process_cpu_secs();
     let views = validate(&scan.subject(&optics), params, learning, judges)?;
     let cpu_secs = process_cpu_secs() - start_secs;
-    let overall = Judgement::of(&views).overall;
+    let overall = Judgement::of(&views).overall.reported();
     tracing::info!(what, cpu_secs, "ablation judged");
     Ok(AblationOutcome::Judged {
         figures: figures(None, &overall),
