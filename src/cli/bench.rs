@@ -27,7 +27,7 @@ use relief::{
     shading::Calibration,
 };
 use replay::Pacing;
-use report::{Fitness, Frames, LiveMeshTime, Measured, Mesh, StepTime};
+use report::{Fitness, FrameTime, Frames, LiveMeshTime, Measured, Mesh, StepTime};
 use std::{io::Write, path::Path, time::Instant};
 
 /// The live mesh is looked at three times a second.
@@ -65,9 +65,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         threads: n_threads.get(),
         depth_correction_cpu_ms: median(&mut run.corrections_cpu_ms),
         cpu_ms: run.step_medians(),
-        frame_cpu_ms: median(&mut run.frames_cpu_ms),
-        frame_wall_ms: median(&mut run.frames_wall_ms),
-        fps: 1e3 / median(&mut run.frames_wall_ms),
+        frame: run.frame_time(),
         fitness: run.fitness(),
         model_bytes: run.fusion.memory_bytes(),
         peak_memory_bytes: peak_memory_bytes(),
@@ -208,6 +206,15 @@ impl Run {
         self.refresh_patches.push(changed.len() as f64);
     }
 
+    fn frame_time(&mut self) -> FrameTime {
+        let wall_ms = robust::median(&mut self.frames_wall_ms);
+        FrameTime {
+            frame_cpu_ms: robust::median(&mut self.frames_cpu_ms),
+            frame_wall_ms: wall_ms,
+            fps: wall_ms.map(|wall_ms| 1e3 / wall_ms),
+        }
+    }
+
     fn live_mesh_time(&mut self) -> LiveMeshTime {
         LiveMeshTime {
             every_frames: LIVE_EVERY_FRAMES,
@@ -243,7 +250,7 @@ impl Run {
             .into_iter()
             .map(|step| StepTime {
                 step,
-                median_ms: median(&mut self.steps_cpu_ms[step as usize]),
+                median_ms: robust::median(&mut self.steps_cpu_ms[step as usize]),
             })
             .collect()
     }

@@ -84,3 +84,32 @@ fn a_damaged_frame_is_left_out_and_counted() {
         (&2.into(), &1.into())
     );
 }
+
+#[test]
+fn where_no_frame_is_tracked_there_is_no_rate() {
+    let workbench = Workbench::with_frames(2);
+    let config = workbench.write(
+        "near.toml",
+        "[fusion]\ndepth_min_m = 0.1\ndepth_max_m = 0.16\n",
+    );
+    let bench = |more: &[&str]| {
+        let output = Command::new(PROGRAM)
+            .args(["bench", workbench.session().to_str().unwrap()])
+            .args(["--config", config.to_str().unwrap()])
+            .args(more)
+            .output()
+            .unwrap();
+        assert_says(&output, 0, &[]);
+        output
+    };
+    let measured = summary(&bench(&["--json"]));
+    assert_eq!(measured["frames"]["tracked"], 0);
+    for key in ["frame_cpu_ms", "frame_wall_ms", "fps"] {
+        assert_eq!(measured[key], Value::Null, "{key}");
+    }
+    let said = String::from_utf8(bench(&[]).stdout).unwrap();
+    assert!(
+        said.contains("0 tracked") && !said.contains("frames/s"),
+        "{said}"
+    );
+}

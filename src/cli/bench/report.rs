@@ -15,13 +15,10 @@ pub(super) struct Measured {
     pub(super) frames: Frames,
     /// Median processor time of what is taken off a frame's depth before it is tracked, not among its steps; 0 where that is nothing.
     pub(super) depth_correction_cpu_ms: f64,
-    /// Median processor time of each step and of a whole frame, all threads together.
+    /// Median processor time of each step, all threads together.
     pub(super) cpu_ms: Vec<StepTime>,
-    pub(super) frame_cpu_ms: f64,
-    /// Median wall time of a frame.
-    pub(super) frame_wall_ms: f64,
-    /// Frames a second that this wall time allows.
-    pub(super) fps: f64,
+    #[serde(flatten)]
+    pub(super) frame: FrameTime,
     /// Tracked frames by how far they were from being lost; `None` where none was.
     pub(super) fitness: Option<Fitness>,
     pub(super) model_bytes: usize,
@@ -44,7 +41,19 @@ pub(super) struct Frames {
 #[derive(Serialize)]
 pub(super) struct StepTime {
     pub(super) step: FusionStep,
-    pub(super) median_ms: f64,
+    /// `None` where no frame took it.
+    pub(super) median_ms: Option<f64>,
+}
+
+/// What a whole frame takes that is tracked; `None` where none was.
+#[derive(Serialize)]
+pub(super) struct FrameTime {
+    /// Median processor time, all threads together.
+    pub(super) frame_cpu_ms: Option<f64>,
+    /// Median wall time.
+    pub(super) frame_wall_ms: Option<f64>,
+    /// Frames a second that this wall time allows.
+    pub(super) fps: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -104,19 +113,21 @@ impl Measured {
             "depth correction", self.depth_correction_cpu_ms
         )?;
         for time in &self.cpu_ms {
+            if let Some(median_ms) = time.median_ms {
+                let step = format!("{:?}", time.step);
+                writeln!(Stdout, "  {step:<14}{median_ms:>8.2}")?;
+            }
+        }
+        let frame = &self.frame;
+        if let Some(cpu_ms) = frame.frame_cpu_ms {
+            writeln!(Stdout, "  {:<14}{cpu_ms:>8.2}", "frame")?;
+        }
+        if let (Some(wall_ms), Some(fps)) = (frame.frame_wall_ms, frame.fps) {
             writeln!(
                 Stdout,
-                "  {:<14}{:>8.2}",
-                format!("{:?}", time.step),
-                time.median_ms
+                "wall time a frame: {wall_ms:.2} ms, {fps:.0} frames/s"
             )?;
         }
-        writeln!(Stdout, "  {:<14}{:>8.2}", "frame", self.frame_cpu_ms)?;
-        writeln!(
-            Stdout,
-            "wall time a frame: {:.2} ms, {:.0} frames/s",
-            self.frame_wall_ms, self.fps
-        )?;
         if let Some(fitness) = &self.fitness {
             writeln!(
                 Stdout,
