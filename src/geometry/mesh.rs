@@ -4,7 +4,7 @@ use super::Lists;
 use super::disjoint_sets::DisjointSets;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-use std::ops::{Add, AddAssign, Div};
+use std::ops::{Add, AddAssign, Div, Range};
 
 /// Sums at more vertices than this are worth several threads.
 const PARALLEL: usize = 10_000;
@@ -121,9 +121,14 @@ impl TriMesh {
 
     /// Whole surface area, m².
     pub fn area_m2(&self) -> f64 {
-        (0..self.faces.len())
-            .map(|face| 0.5 * self.face_normal(face).norm())
-            .sum()
+        self.faces_area_m2(0..self.faces.len())
+    }
+
+    /// The area of some of the faces, m².
+    pub fn faces_area_m2(&self, faces: Range<usize>) -> f64 {
+        let areas = faces.map(|face| 0.5 * self.face_normal(face).norm());
+        // A sum of nothing is -0.
+        0.0 + areas.sum::<f64>()
     }
 
     /// The mesh of the faces for which `keep` holds, with the vertices that they use, in the old order.
@@ -274,5 +279,10 @@ mod tests {
         assert_eq!(second.faces, vec![[0, 1, 2]]);
         assert_eq!(second.vertices[0].x, 5.0);
         assert!((mesh.area_m2() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_area_of_nothing_is_no_negative_zero() {
+        assert!(TriMesh::default().area_m2().is_sign_positive());
     }
 }

@@ -65,9 +65,9 @@ pub fn path_length_m<'a>(world_from_cameras: impl IntoIterator<Item = &'a Pose>)
         .into_iter()
         .map(|pose| pose.translation.vector);
     let mut previous = origins.next().unwrap_or_default();
-    origins
-        .map(|origin| (origin - std::mem::replace(&mut previous, origin)).norm())
-        .sum()
+    let steps_m = origins.map(|origin| (origin - std::mem::replace(&mut previous, origin)).norm());
+    // A sum of nothing is -0.
+    0.0 + steps_m.sum::<f64>()
 }
 
 /// A pose whose quaternion has unit length again. A product is off by as much as its factors are together, and so is an inverse: where
@@ -96,6 +96,14 @@ pub fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_path_of_no_pose_or_one_is_no_negative_zero_long() {
+        for poses in [&[][..], &[Pose::identity()]] {
+            let length_m = path_length_m(poses);
+            assert!(length_m == 0.0 && length_m.is_sign_positive());
+        }
+    }
 
     #[test]
     fn an_increment_is_found_back_and_moves_a_point_along_a_normal_as_its_row_says() {

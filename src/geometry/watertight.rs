@@ -50,7 +50,7 @@ pub fn close_holes(mesh: &TriMesh) -> Watertight {
     let filled = n_faces..mesh.faces.len();
     Watertight {
         n_holes: loops.len(),
-        filled_m2: filled.map(|face| 0.5 * mesh.face_normal(face).norm()).sum(),
+        filled_m2: mesh.faces_area_m2(filled),
         mesh,
         from,
     }
@@ -302,6 +302,7 @@ mod tests {
     fn a_closed_mesh_stays_as_it_is() {
         let whole = sphere(12, |_| true);
         let closed = close_holes(&whole);
+        assert!(closed.filled_m2 == 0.0 && closed.filled_m2.is_sign_positive());
         assert_eq!(closed.n_holes, 0);
         assert_eq!(closed.mesh.faces.len(), whole.faces.len());
         assert_closed(&closed.mesh);
