@@ -167,9 +167,12 @@ impl Outbox {
         self.write(SNAPSHOTS, |_| export.write());
     }
 
-    /// Writes which pixels of the shading images refinement could use, in place of the masks of [`Outbox::snapshots`].
+    /// Writes which pixels of the shading images refinement could use, in place of the masks of [`Outbox::snapshots`], if those were
+    /// written: where they were not, the folders are missing for the same reason, which is told of already.
     pub fn masks(&self, masks: &[Image<u8>]) {
-        self.write(SNAPSHOTS, |_| write_masks(&self.folder, masks));
+        if self.has_written(SNAPSHOTS) {
+            self.write(SNAPSHOTS, |_| write_masks(&self.folder, masks));
+        }
     }
 
     /// Takes what the recorder wrote into the account.
@@ -240,6 +243,11 @@ impl Outbox {
         }
     }
 
+    fn has_written(&self, name: &str) -> bool {
+        let listed = self.name.join(name);
+        self.with_account(|account| account.outputs.contains(&listed))
+    }
+
     fn with_account<T>(&self, f: impl FnOnce(&mut Account) -> T) -> T {
         f(&mut lock(&self.account))
     }
@@ -259,6 +267,9 @@ fn depth_mask(snapshot: &ShadingSnapshot) -> Image<u8> {
 mod tests {
     use super::*;
     use crate::capture::Unrecorded;
+    use depth_camera::DepthCamera;
+    use rayon::ThreadPoolBuilder;
+    use simulated::SimulatedCamera;
     use std::{fs, io::ErrorKind, os::unix::fs::symlink};
 
     #[test]
@@ -274,6 +285,41 @@ mod tests {
         write();
         let account = outbox.account();
         assert_eq!((account.failures.len(), account.n_passing), (2, 1));
+    }
+
+    #[test]
+    fn masks_of_shading_images_that_found_no_room_are_not_missed_as_well() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join(SNAPSHOTS);
+        let outbox = Outbox::inside(folder.path());
+        let camera = SimulatedCamera::kinect2_plaque(1, 0);
+        let snapshot = ShadingSnapshot {
+            frame_id: 0,
+            device_time_secs: 0.0,
+            n_exposures: 1,
+            ir_counts: Image::filled(1, 1, 0.0),
+            unlit_counts: None,
+            depth_m: Image::filled(1, 1, 0.0),
+            world_from_camera: Pose::identity(),
+        };
+        let (snapshots, masks) = (vec![snapshot; 3], vec![Image::filled(1, 1, 255); 3]);
+        // One thread makes no folder after the one that finds no room.
+        let pool = ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let write = || pool.install(|| outbox.snapshots(&snapshots, camera.info()));
+        fs::create_dir_all(root.join("000")).unwrap();
+        symlink("/dev/full", root.join("000/.ir.png.partial")).unwrap();
+        write();
+        assert!(!root.join("001").exists());
+        outbox.masks(&masks);
+        let account = outbox.account();
+        assert_eq!((account.failures.len(), account.n_passing), (1, 1));
+        // The failure has taken the link away.
+        write();
+        let mask = || fs::read(root.join("002/mask.png")).unwrap();
+        let of_depth = mask();
+        outbox.masks(&masks);
+        assert!(mask() != of_depth);
+        assert_eq!(outbox.account().failures, account.failures);
     }
 
     #[test]
