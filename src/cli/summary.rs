@@ -152,13 +152,17 @@ pub fn print_refinement(outcome: &Outcome) -> io::Result<()> {
 
 fn print_outputs(outcome: &Outcome) -> io::Result<()> {
     let report = &outcome.report;
-    if report.base_mesh.faces > 0 {
+    // Of a mesh that could not be written a failure tells.
+    let is_written = |path: &String| report.outputs.contains(path);
+    if report.base_mesh.faces > 0 && is_written(&report.base_mesh.path) {
         writeln!(Stdout, "base mesh:    {}", report.base_mesh.path)?;
     }
     match (&report.refined_mesh, &report.not_refined_reason) {
-        (Some(mesh), _) => writeln!(Stdout, "refined mesh: {} ({})", mesh.path, mesh.status)?,
+        (Some(mesh), _) if is_written(&mesh.path) => {
+            writeln!(Stdout, "refined mesh: {} ({})", mesh.path, mesh.status)?;
+        }
         (None, Some(reason)) => writeln!(Stdout, "not refined:  {reason}")?,
-        (None, None) => {}
+        _ => {}
     }
     if let Some(page) = report.outputs.iter().find(|path| path.ends_with(".html")) {
         writeln!(Stdout, "report:       {page}")?;

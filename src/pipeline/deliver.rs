@@ -195,16 +195,21 @@ impl Outbox {
         }
     }
 
-    /// Writes the report in both formats, last of all; it lists itself among the outputs.
+    /// Writes the report in both formats, last of all; it lists itself among the outputs, but for a format that was not written.
     pub fn report(&self, report: &mut Report, pictures: &ReportPictures) {
-        let listed =
+        let [html, json] =
             [REPORT_HTML, REPORT_JSON].map(|name| self.name.join(name).display().to_string());
-        report.outputs.extend(listed);
-        let report: &Report = report;
+        report.outputs.extend([html.clone(), json.clone()]);
         self.write(REPORT_HTML, |path| {
             write_report_html(path, report, pictures)
         });
+        if !self.has_written(REPORT_HTML) {
+            report.outputs.retain(|output| *output != html);
+        }
         self.write(REPORT_JSON, |path| write_report_json(path, report));
+        if !self.has_written(REPORT_JSON) {
+            report.outputs.retain(|output| *output != json);
+        }
     }
 
     /// Notes something that went wrong elsewhere.
@@ -320,6 +325,20 @@ mod tests {
         outbox.masks(&masks);
         assert!(mask() != of_depth);
         assert_eq!(outbox.account().failures, account.failures);
+    }
+
+    #[test]
+    fn a_report_lists_itself_where_it_was_written() {
+        for (refused, written) in [(REPORT_HTML, REPORT_JSON), (REPORT_JSON, REPORT_HTML)] {
+            let folder = tempfile::tempdir().unwrap();
+            let partial = folder.path().join(format!(".{refused}.partial"));
+            symlink("/dev/full", partial).unwrap();
+            let mut report = Report::default();
+            Outbox::inside(folder.path()).report(&mut report, &ReportPictures::default());
+            let written = folder.path().join(written);
+            assert!(written.is_file());
+            assert_eq!(report.outputs, [written.display().to_string()]);
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What is wrong is said: which file, which key, which value, which bound, and by the exit code.
 
 use crate::support::{EVERY_FRAME, PROGRAM, Workbench, assert_says, record, small_camera, summary};
-use std::{fs, io, process::Command};
+use std::{fs, io, path::Path, process::Command};
 
 #[test]
 fn damaged_images_cost_their_own_frame_only() {
@@ -232,10 +232,27 @@ fn a_file_that_does_not_fit_is_named_and_leaves_nothing_behind() {
     let output = Command::new("sh").args(["-c", &script]).output().unwrap();
     assert_says(&output, 1, &["base.ply: ", "os error 27", "report"]);
     let out = bench.path("out");
-    for name in ["base.ply", ".base.ply.partial", ".relief.lock"] {
+    for name in [
+        "base.ply",
+        ".base.ply.partial",
+        ".relief.lock",
+        "report.html",
+    ] {
         assert!(!out.join(name).exists(), "{name}");
     }
     assert!(out.join("trajectory.txt").is_file());
+    // What is named as an output is there.
+    let told = String::from_utf8_lossy(&output.stdout);
+    for line in ["base mesh:", "report:"] {
+        assert!(!told.contains(line), "{told}");
+    }
+    let report = fs::read_to_string(out.join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let outputs = report["outputs"].as_array().unwrap();
+    assert!(outputs.len() > 2);
+    for path in outputs {
+        assert!(Path::new(path.as_str().unwrap()).exists(), "{path}");
+    }
 }
 
 #[test]
