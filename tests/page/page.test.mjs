@@ -364,6 +364,7 @@ test('cancels refinements that run and those that wait', { timeout: 120_000, ski
     return id;
   };
   const shown = (told) => page.locator(`#refinement[data-state=${told}]`).waitFor();
+  const words = page.getByTestId('refinement-words');
   const progress = page.locator('#refinement-progress');
   const cancel = page.getByTestId('refinement-cancel');
   const queue = page.getByTestId('refinement-queue').locator('li:not([hidden])');
@@ -394,7 +395,16 @@ test('cancels refinements that run and those that wait', { timeout: 120_000, ski
   await t.test('the one that runs', async () => {
     await ends(cancel, first);
     await shown('cancelled');
+    assert.match(await words.innerText(), /^Cancelled; the mesh stands as it was\./);
     assert.ok(await cancel.isHidden());
+  });
+
+  await t.test('one that is refused, which tells why', async () => {
+    daemon.refusal = 'no surface lies in the box given by object.crop';
+    await scan('refused');
+    await shown('refused');
+    assert.ok((await words.innerText()).startsWith(`Not refined; the mesh stands as it was. ${daemon.refusal}`));
+    daemon.refusal = null;
   });
 
   await t.test('one that finds no room', async () => {

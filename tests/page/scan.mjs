@@ -42,6 +42,8 @@ export class StandInDaemon {
   hasRoomToRefine = true;
   /** How long each refinement takes. */
   refineSecs = 6;
+  /** Why refinements end without a mesh; `null` where they do not. */
+  refusal = null;
   #scan = null;
   /** How often each scan was refined, by its id; every time its mesh shows more. */
   refinements = new Map();
@@ -84,7 +86,7 @@ export class StandInDaemon {
 
   refine(session) {
     if (!session.files.some(({ name }) => name === 'base.ply')) throw new Refused('not_refinable', 'there is no base.ply');
-    const job = { id: `job-${session.id}`, scan: session.id, submitted_unix_ms: Date.now(), state: 'waiting' };
+    const job = { id: `job-${session.id}`, scan: session.id, submitted_unix_ms: Date.now(), state: 'waiting', message: null };
     this.jobs.unshift(job);
     this.#waiting.push({ session, job });
     this.#refineNext();
@@ -127,8 +129,11 @@ export class StandInDaemon {
         if (Math.floor(scan.secs / 1.2) > Math.floor((scan.secs - secs) / 1.2)) this.#snapshot(scan.snapshots.length % 4 !== 2);
       }
     }
-    const { started, session } = this.#refinement;
-    if (this.#isRefining && Date.now() - started > 1000 * this.refineSecs) {
+    const { started, session, job } = this.#refinement;
+    if (this.#isRefining && this.refusal) {
+      job.message = this.refusal;
+      this.#endRefinement('refused');
+    } else if (this.#isRefining && Date.now() - started > 1000 * this.refineSecs) {
       this.refinements.set(session.id, 1 + (this.refinements.get(session.id) ?? 0));
       session.files = [...SCANNED_FILES, ...REFINED_FILES];
       this.#endRefinement('done');
@@ -250,7 +255,7 @@ export class StandInDaemon {
     const isKnown = state === 'running' || state === 'done';
     return {
       state, job: job?.id ?? null, scan: session?.id ?? null, round: isKnown ? [Math.min(4, 1 + Math.floor(4 * share)), 4] : [0, 0], step: isKnown ? Math.floor(28 * share) % 8 : 0,
-      energy_share: isKnown ? 1 - 0.62 * share : null, rmse: state === 'done' ? 0.0182 : null, secs_left: state === 'running' ? this.refineSecs * (1 - share) : null, message: null,
+      energy_share: isKnown ? 1 - 0.62 * share : null, rmse: state === 'done' ? 0.0182 : null, secs_left: state === 'running' ? this.refineSecs * (1 - share) : null, message: job?.message ?? null,
     };
   }
 

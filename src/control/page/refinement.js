@@ -8,9 +8,10 @@ const WORDS = {
   waiting: 'Waits for its turn.',
   running: 'The surface is moved until it explains the shading.',
   done: 'Done. Compare the meshes in the view.',
-  refused: 'The shading images do not confirm a better surface; the fused mesh stands.',
-  failed: 'Failed; the fused mesh stands.',
-  cancelled: 'Cancelled; the fused mesh stands.',
+  // Why is told by the daemon; the mesh that stands may be a refined one of before.
+  refused: 'Not refined; the mesh stands as it was.',
+  failed: 'Failed; the mesh stands as it was.',
+  cancelled: 'Cancelled; the mesh stands as it was.',
   superseded: 'Overtaken by a newer set of shading images.',
 };
 /** Of a scan that gives refinement nothing to go by. */
