@@ -531,21 +531,41 @@ test('says when the daemon is gone, and comes back with it', { timeout: 60_000, 
   const first = await standIn();
   const { page } = await openPage(t, browser, first.base);
   await page.getByTestId('start').click();
-  await state(page, ...SCANNING);
+  await rises(page, STAGE, 'faces', 0);
   const { id, started } = first.daemon.scan;
   await first.close();
   const banner = page.getByTestId('connection-banner');
   await banner.getByText('Connection lost').waitFor();
   assert.ok(await page.getByTestId('start').isDisabled());
+  // An hour later: the other has been up for longer than the first was.
+  await page.evaluate(() => {
+    const { now } = Date;
+    Date.now = () => now() + 3_600_000;
+  });
   const second = await standIn({ port: first.port });
+  second.daemon.started = Date.now() - 60_000;
   second.daemon.sessions.push({ id, label: null, interim_of: null, started_unix_ms: started, ended_unix_ms: null, state: 'interrupted', failures: [], files: [] });
   await banner.waitFor({ state: 'hidden', timeout: 30_000 });
   const interrupted = '[data-testid=toast][data-code=scan_interrupted]';
   await page.locator(interrupted).getByText(id).waitFor();
   assert.ok(await page.getByTestId('start').isEnabled());
+  await page.locator('#coverage-share:empty').waitFor({ state: 'attached' });
   const { page: later } = await openPage(t, browser, second.base);
   await later.locator(interrupted).waitFor();
   await second.close();
+});
+
+test('loads itself anew after an update of the daemon', { timeout: 60_000, skip: NEEDS_STAND_IN }, async (t) => {
+  const first = await standIn();
+  const { page } = await openPage(t, browser, first.base);
+  await first.close();
+  await page.getByTestId('connection-banner').getByText('Connection lost').waitFor();
+  const loaded = page.waitForEvent('load');
+  const second = await standIn({ port: first.port });
+  t.after(() => second.close());
+  Object.assign(second.daemon, { version: '0.2.0', started: Date.now() - 3_600_000 });
+  await loaded;
+  await state(page, 'idle');
 });
 
 test('leads through the sequence of a Kinect I', { timeout: 60_000, skip: NEEDS_STAND_IN }, async (t) => {

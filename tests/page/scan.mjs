@@ -50,8 +50,9 @@ export class StandInDaemon {
   #refinement = { state: 'none', started: 0, session: null, job: null };
   /** Scans that are refined next. */
   #waiting = [];
+  version = '0.1.0';
+  started = Date.now();
   #sensor;
-  #started = Date.now();
 
   constructor(sensor = 'kinect2') {
     this.#sensor = sensor;
@@ -279,7 +280,7 @@ export class StandInDaemon {
       snapshots: { accepted, rejected: (scan?.snapshots.length ?? 0) - accepted, wanted: 36 },
       kinect1_sequence: this.#sequence, refinement: this.#refinementStatus, refinements_waiting: this.#waiting.length,
       recording: { active: Boolean(scan), bytes: produced * 260_000, recorded: produced, dropped: { ir: Math.floor(produced / 200), frames: 0 }, disk_free_bytes: 47e9, disk_floor_bytes: 2e9, reason: null },
-      mesh: this.mesh, daemon: { version: '0.1.0', uptime_secs: (Date.now() - this.#started) / 1000, rss_bytes: 412e6, clients: 1, config_error: null },
+      mesh: this.mesh, daemon: { version: this.version, uptime_secs: (Date.now() - this.started) / 1000, rss_bytes: 412e6, clients: 1, config_error: null },
     };
   }
 }
