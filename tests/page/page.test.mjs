@@ -280,6 +280,15 @@ test('goes by the last good scan, and tells of one that failed', { timeout: 300_
     await page.locator('#refinement[data-state=done]').waitFor({ timeout: 60_000 });
   });
 
+  await t.test('says that it is refined already where the settings are the same', async () => {
+    server.daemon.hasOtherSettings = false;
+    await press('refine');
+    const toast = page.locator('[data-testid=toast][data-code=already_done]');
+    await toast.waitFor();
+    assert.equal(await toast.innerText(), 'It is refined with these settings already.');
+    server.daemon.hasOtherSettings = true;
+  });
+
   await t.test('tells of a scan without a frame, and goes on with the good one', async () => {
     await page.getByTestId('label').fill('nothing');
     await press('start');

@@ -44,6 +44,8 @@ export class StandInDaemon {
   refineSecs = 6;
   /** Why refinements end without a mesh; `null` where they do not. */
   refusal = null;
+  /** Whether what is refined again has other settings by then. */
+  hasOtherSettings = true;
   #scan = null;
   /** How often each scan was refined, by its id; every time its mesh shows more. */
   refinements = new Map();
@@ -85,12 +87,16 @@ export class StandInDaemon {
     else throw new Refused('unknown_command', `there is no command ${name}`);
   }
 
+  /** The refinement that is to be; one that ended well or was refused, where that would end alike. */
   refine(session) {
     if (!session.files.some(({ name }) => name === 'base.ply')) throw new Refused('not_refinable', 'there is no base.ply');
+    const before = this.jobs.find(({ scan }) => scan === session.id);
+    if (!this.hasOtherSettings && ['done', 'refused'].includes(before?.state)) return before;
     const job = { id: `job-${session.id}`, scan: session.id, submitted_unix_ms: Date.now(), state: 'waiting', message: null };
     this.jobs.unshift(job);
     this.#waiting.push({ session, job });
     this.#refineNext();
+    return job;
   }
 
   /** Begins the refinement that waits longest, if one can begin. */

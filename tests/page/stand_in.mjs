@@ -131,7 +131,7 @@ async function answer(daemon, assets, request, response) {
 }
 
 async function act(daemon, request, pathname, finished, response) {
-  const done = () => send(response, 202, 'application/json', '{}');
+  const done = (body = {}) => send(response, 202, 'application/json', JSON.stringify(body));
   if (pathname === '/api/v1/scan') {
     const { label = null } = JSON.parse(Buffer.concat(await request.toArray()).toString());
     return send(response, 201, 'application/json', JSON.stringify({ id: daemon.start(label) }));
@@ -141,10 +141,7 @@ async function act(daemon, request, pathname, finished, response) {
     return done();
   }
   const session = finished(pathname.match(SESSION_REFINE)?.[1]);
-  if (session) {
-    daemon.refine(session);
-    return done();
-  }
+  if (session) return done(daemon.refine(session));
   if (JOB_CANCEL.test(pathname)) {
     daemon.cancel(pathname.match(JOB_CANCEL)[1]);
     return done();

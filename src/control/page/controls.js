@@ -19,6 +19,11 @@ const ALLOWED = {
   reset: [...SCANNING, 'fault'],
   stop: [...SCANNING, 'fault'],
 };
+/** What is said of a refinement that has ended when it is asked for. */
+const ENDED = {
+  done: () => 'It is refined with these settings already.',
+  refused: (why) => `It was not refined with these settings: ${why}`,
+};
 
 export class Controls {
   #buttons = Object.fromEntries(
@@ -31,7 +36,7 @@ export class Controls {
   #hasFiles = false;
   #report;
 
-  /** `on.report(error)` is told of refusals, `on.export()` opens the list of files. */
+  /** `on.report(error)` is told of refusals and of what need not be done, `on.export()` opens the list of files. */
   constructor(on) {
     this.#report = on.report;
     this.#bind('start', async () => {
@@ -40,7 +45,7 @@ export class Controls {
     });
     for (const name of ['pause', 'resume', 'snapshot']) this.#bind(name, () => api.command(name));
     this.#bind('undo', () => api.undo(UNDO_SECS));
-    this.#bind('refine', () => (this.#isScanning() ? api.command('refine') : api.refineSession(this.#lastSession.id)));
+    this.#bind('refine', () => (this.#isScanning() ? api.command('refine') : this.#refineLast()));
     this.#bind('reset', async () => {
       const isMeant = await confirmed('Drop the model?', 'All that was scanned since the start is thrown away; the camera goes on.', 'Drop it');
       if (isMeant) await api.command('reset');
@@ -63,6 +68,12 @@ export class Controls {
     this.#lastSession = lastSession;
     this.#hasFiles = hasFiles;
     this.#update();
+  }
+
+  /** What ended before with the same settings is not run again: the answer is all that tells of it. */
+  async #refineLast() {
+    const { state, message } = await api.refineSession(this.#lastSession.id);
+    if (ENDED[state]) this.#report({ message: ENDED[state](message), code: `already_${state}` });
   }
 
   #isScanning() {
