@@ -92,12 +92,19 @@ test('a whole session', { timeout: 600_000 }, async (t) => {
   });
 
   await t.test('says that track is lost, shows the ghost, and finds back', async () => {
+    // Of a daemon's recording the place may be found at once.
+    const isFinding = DAEMON ? null : page.waitForFunction(
+      () => document.body.dataset.state === 'relocalising' && document.getElementById('fitness-words').textContent === 'lost',
+      null,
+      { timeout: 120_000 },
+    );
     await state(page, 'lost');
     assert.match(await page.getByTestId('state-title').innerText(), /^Lost/);
     assert.notEqual(await page.getByTestId('state-advice').innerText(), '');
     await page.getByTestId('hint').getByText('Red:').waitFor();
     await shows(page, isGhost, 20, 'the ghost is drawn');
     await save(page, 'lost');
+    await isFinding;
     await state(page, ...SCANNING);
   });
 

@@ -11,7 +11,7 @@ import { Kinect1 } from './kinect1.js';
 import { Previews } from './previews.js';
 import { Refinement } from './refinement.js';
 import { Snapshots } from './snapshots.js';
-import { describeEnding, describeRefusal, describeState } from './words.js';
+import { describeEnding, describeRefusal, describeState, isLost } from './words.js';
 
 const PATH_INTERVAL_MS = 1000;
 /** When a daemon started is known no better than this: its status may come late. */
@@ -83,7 +83,7 @@ function showStatus(next) {
   const name = next.scan ? scanName(next.scan) : '';
   say('device', name);
   at('device').title = name;
-  fitness.show(next.fitness, next.state === 'lost');
+  fitness.show(next.fitness, isLost(next.state));
   previews.showSaturation(next.ir_saturated_share);
   snapshots.follow(scanId, next.snapshots);
   kinect1.show(next.kinect1_sequence);

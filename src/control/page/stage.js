@@ -5,9 +5,8 @@ import { Compare } from './compare.js';
 import { LiveMesh } from './live_mesh.js';
 import { View } from './scene.js';
 import { turnLight } from './surface.js';
+import { isLost } from './words.js';
 
-/** States in which the camera is not where it was last. */
-const LOST = ['lost', 'relocalising'];
 const LIVE = { mode: 'live', sessionId: null };
 const COVERAGE_LEGEND = { stops: COVERAGE, ticks: ['needs views', 'enough'] };
 
@@ -61,7 +60,7 @@ export class Stage {
 
   /** The newest status of the daemon. */
   follow({ scan, state }) {
-    this.#setLost(scan !== null && LOST.includes(state));
+    this.#setLost(scan !== null && isLost(state));
     if (scan) this.#view.markers.sensor = scan.device.sensor;
     else if (this.#hasScan) this.#forgetCamera();
     this.#hasScan = Boolean(scan);

@@ -13,6 +13,7 @@ const STATES = {
   draining: ['Finishing', 'quiet'],
   fault: ['Fault', 'bad'],
 };
+const LOST = ['lost', 'relocalising'];
 const REASONS = {
   too_fast: 'too fast',
   too_close: 'too close',
@@ -60,6 +61,11 @@ export function describeState({ state, reason, advice, improvement, refinement }
   }
   const because = reason ? `: ${REASONS[reason] ?? spelled(reason)}` : '';
   return { title: title + because, advice: advice ?? '', tone };
+}
+
+/** Whether the camera is not where it was last. */
+export function isLost(state) {
+  return LOST.includes(state);
 }
 
 /** How a scan ended that did not end well. */
