@@ -167,13 +167,13 @@ impl Layer {
     }
 }
 
-/// The key that a variable's name without [`SEPARATOR`] is closest to, if it begins like the name of a table and can only be meant for
-/// one of its keys.
+/// The key that a variable's name without [`SEPARATOR`] is closest to, if it is the name of a table, or begins with one and can only be
+/// meant for one of its keys.
 fn meant(name: &str) -> Result<Option<String>, ConfigError> {
     let defaults = Layer::defaults()?.table;
     let is_of = |table: &String| {
         name.strip_prefix(table)
-            .is_some_and(|rest| rest.starts_with('_'))
+            .is_some_and(|rest| rest.is_empty() || rest.starts_with('_'))
     };
     let Some(table) = defaults.keys().find(|table| is_of(table)) else {
         return Ok(None);

@@ -243,6 +243,11 @@ mod tests {
                 "environment variable RELIEF_FUSION_ICP_ITERATION: names no key; RELIEF_FUSION__ICP__ITERATIONS sets",
             ),
             (
+                "RELIEF_FUSION",
+                "{ voxel_size_m = 0.004 }",
+                "environment variable RELIEF_FUSION: names no key; RELIEF_FUSION__",
+            ),
+            (
                 "RELIEF_CAPTURE__RECORD_FORMAT",
                 "3",
                 "environment variable RELIEF_CAPTURE__RECORD_FORMAT: capture.record_format: must be `mcap` or",
