@@ -113,12 +113,9 @@ impl FusionParams {
         let thin = self.thin_truncation_voxels;
         within("thin_truncation_voxels", thin, 1.5, 20.0)?;
         within("depth_min_m", self.depth_min_m, 0.1, 10.0)?;
-        within(
-            "depth_max_m",
-            self.depth_max_m,
-            self.depth_min_m + 0.05,
-            12.0,
-        )?;
+        // In whole micrometres: the sum of two decimal numbers is told as 0.39999999999999997.
+        let least_max_m = (1e6 * (self.depth_min_m + 0.05)).round() / 1e6;
+        within("depth_max_m", self.depth_max_m, least_max_m, 12.0)?;
         within("min_surface_weight", self.min_surface_weight, 0.0, 200.0)?;
         within(
             "memory_budget_mb",
@@ -203,5 +200,29 @@ impl FusionParams {
             near_m: self.depth_min_m as f32,
             far_m: self.depth_max_m as f32,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_least_working_range_is_told_and_taken_as_it_is_written() {
+        let checked = |depth_min_m: f64, depth_max_m: f64| {
+            let params = FusionParams {
+                depth_min_m,
+                depth_max_m,
+                ..FusionParams::default()
+            };
+            params.validate()
+        };
+        // Sums of which one is a little less than its decimal, and the other a little more.
+        assert_eq!(
+            checked(0.35, 0.39),
+            Err("fusion.depth_max_m is 0.39, must be 0.4 to 12".into())
+        );
+        assert_eq!(checked(0.35, 0.4), Ok(()));
+        assert_eq!(checked(0.1, 0.15), Ok(()));
     }
 }
