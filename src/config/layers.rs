@@ -208,6 +208,10 @@ mod tests {
                 "[capture]\nrecord_format = 3\n",
                 "given.toml:2: capture.record_format: must be `mcap` or `folder`",
             ),
+            (
+                "[object]\n\ncrop.box = [0.0, 0.0, 0.5, 1.0, 1.0, 0.5]\n",
+                "given.toml:3: object.crop.box: zmin is 0.5, must be below zmax, 0.5",
+            ),
             ("[wheels]\nn = 4\n", "given.toml:1: unknown field `wheels`"),
         ] {
             let machine = Machine::new(&[("given.toml", text)]);
@@ -246,6 +250,11 @@ mod tests {
                 "RELIEF_FUSION",
                 "{ voxel_size_m = 0.004 }",
                 "environment variable RELIEF_FUSION: names no key; RELIEF_FUSION__",
+            ),
+            (
+                "RELIEF_OBJECT__CROP__BOX",
+                "[0.0, 0.0, 0.0, 1.0, 1.0, inf]",
+                "environment variable RELIEF_OBJECT__CROP__BOX: object.crop.box: zmax is inf, must be finite",
             ),
             (
                 "RELIEF_CAPTURE__RECORD_FORMAT",

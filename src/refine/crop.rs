@@ -39,7 +39,7 @@ impl ObjectParams {
         match self.crop {
             Crop::Box(bounds) => Roi::of_bounds(bounds)
                 .map(|_| ())
-                .map_err(|what| format!("object.crop: {what}")),
+                .map_err(|what| format!("object.crop.box: {what}")),
             Crop::Auto | Crop::None | Crop::Object => Ok(()),
         }
     }
@@ -49,7 +49,7 @@ impl Roi {
     /// A box by its smallest x, y, z and its largest x, y, z, world frame, metres.
     ///
     /// # Errors
-    /// Names the axis along which the box is empty, with both bounds.
+    /// Names a bound that is not finite, or the axis along which the box is empty, with both bounds.
     pub fn of_bounds(bounds: [f64; 6]) -> Result<Roi, String> {
         let [x_min, y_min, z_min, x_max, y_max, z_max] = bounds;
         for (axis, min, max) in [
@@ -57,7 +57,12 @@ impl Roi {
             ("y", y_min, y_max),
             ("z", z_min, z_max),
         ] {
-            if !(min.is_finite() && max.is_finite() && min < max) {
+            for (end, bound) in [("min", min), ("max", max)] {
+                if !bound.is_finite() {
+                    return Err(format!("{axis}{end} is {bound}, must be finite"));
+                }
+            }
+            if min >= max {
                 return Err(format!(
                     "{axis}min is {min}, must be below {axis}max, {max}"
                 ));
@@ -218,13 +223,20 @@ mod tests {
 
     #[test]
     fn bad_boxes_are_named() {
-        let bad = ObjectParams {
-            crop: Crop::Box([0.0, 0.0, 0.5, 1.0, 1.0, 0.5]),
-            ..ObjectParams::default()
+        let error = |z_max: f64| {
+            let bad = ObjectParams {
+                crop: Crop::Box([0.0, 0.0, 0.5, 1.0, 1.0, z_max]),
+                ..ObjectParams::default()
+            };
+            bad.validate().unwrap_err()
         };
         assert_eq!(
-            bad.validate().unwrap_err(),
-            "object.crop: zmin is 0.5, must be below zmax, 0.5"
+            error(0.5),
+            "object.crop.box: zmin is 0.5, must be below zmax, 0.5"
+        );
+        assert_eq!(
+            error(f64::NAN),
+            "object.crop.box: zmax is NaN, must be finite"
         );
     }
 }
