@@ -5,17 +5,17 @@ use clap::ValueEnum;
 use depth_camera::Sensor;
 use nalgebra::{Quaternion, Translation3, Unit};
 use relief::geometry::Pose;
-use relief::refine::{Crop, Roi};
+use relief::refine::{Crop, MAX_VIEWS, Roi};
 use std::{num::NonZeroUsize, str::FromStr};
 
-/// A number of folds.
+/// A number of folds, at most one for each view.
 pub fn folds(text: &str) -> anyhow::Result<usize> {
     let n: usize = text
         .parse()
         .with_context(|| format!("\"{text}\" is no number"))?;
     ensure!(
-        n == 0 || (2..=64).contains(&n),
-        "{n} folds, must be 0 or 2 to 64"
+        n == 0 || (2..=MAX_VIEWS).contains(&n),
+        "{n} folds, must be 0 or 2 to {MAX_VIEWS}"
     );
     Ok(n)
 }
@@ -137,6 +137,19 @@ mod tests {
             assert_eq!(error.to_string(), message);
             let error = format!("box={text}").parse::<CropArg>().unwrap_err();
             assert_eq!(error.to_string(), message);
+        }
+    }
+
+    #[test]
+    fn folds_are_as_many_as_views_may_be() {
+        for n in [0, 2, MAX_VIEWS] {
+            assert_eq!(folds(&n.to_string()).unwrap(), n);
+        }
+        for n in [1, MAX_VIEWS + 1] {
+            assert_eq!(
+                folds(&n.to_string()).unwrap_err().to_string(),
+                format!("{n} folds, must be 0 or 2 to {MAX_VIEWS}")
+            );
         }
     }
 
