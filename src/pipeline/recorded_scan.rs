@@ -255,7 +255,8 @@ mod tests {
     fn info() -> CameraInfo {
         let camera = SimulatedCamera::kinect2_plaque(1, 0);
         let mut info = camera.info().clone();
-        (info.intrinsics.width, info.intrinsics.height) = (8, 6);
+        let lens = &mut info.intrinsics;
+        (lens.width, lens.height, lens.cx, lens.cy) = (16, 16, 8.0, 8.0);
         info.n_frames = None;
         info
     }
@@ -305,7 +306,7 @@ mod tests {
         assert_eq!(read.scan.snapshots.unwrap().accepted.len(), 2);
 
         let mut larger = first.clone();
-        larger.intrinsics.width = 16;
+        larger.intrinsics.width = 32;
         let other_scale = CameraInfo {
             ir_full_scale: Some(1023.0),
             ..first.clone()
