@@ -42,10 +42,18 @@ fn refine_with(
     change: impl Fn(usize, &mut ShadingSnapshot),
 ) -> Result<Refinement, RefineError> {
     let (rays, calibration) = (rays(), calibration());
-    let optics = optics(&rays, &calibration);
+    refine_lit(object, params, &optics(&rays, &calibration), change)
+}
+
+fn refine_lit(
+    object: &TriMesh,
+    params: &RefineParams,
+    optics: &Optics,
+    change: impl Fn(usize, &mut ShadingSnapshot),
+) -> Result<Refinement, RefineError> {
     let mut snapshots: Vec<_> = poses(0.5)
         .iter()
-        .map(|pose| RIPPLED.snapshot(&optics, pose))
+        .map(|pose| RIPPLED.snapshot(optics, pose))
         .collect();
     for (k, snapshot) in snapshots.iter_mut().enumerate() {
         change(k, snapshot);
@@ -54,7 +62,7 @@ fn refine_with(
         scene: object,
         object,
         snapshots: &snapshots,
-        optics: &optics,
+        optics,
     };
     refine(&subject, params, |_| true)
 }
@@ -281,6 +289,38 @@ fn slow_differences_of_brightness_are_measured_and_bounded() {
     // The plane sends itself no light but for what noise makes of it.
     assert!(bound >= limit && bound < 1.1 * limit, "{bound}");
     assert!(text.contains("gamma or light is wrong"), "{text}");
+}
+
+#[test]
+fn a_lamp_may_be_as_bright_as_it_likes_in_each_image_and_an_emitter_may_not() {
+    let (rays, calibration) = (rays(), calibration());
+    let emitter = optics(&rays, &calibration);
+    let lamp = Optics {
+        is_steady: false,
+        ..optics(&rays, &calibration)
+    };
+    let refined = |optics: &Optics| {
+        refine_lit(&FLAT.mesh(0.0025), &coarse(), optics, |k, snapshot| {
+            let brightness = if k % 2 == 0 { 1.05 } else { 0.95 };
+            let counts = snapshot.ir_counts.data_mut();
+            counts.iter_mut().for_each(|count| *count *= brightness);
+        })
+    };
+    let result = refined(&emitter);
+    assert!(
+        matches!(result, Err(RefineError::SlowlyContradicted { .. })),
+        "{:?}",
+        result.err()
+    );
+    let delivered = refined(&lamp).expect("the light is right");
+    let HeldOut {
+        slow_gain,
+        base,
+        refined,
+        ..
+    } = delivered.judgement.overall;
+    assert!(slow_gain < 0.01, "{slow_gain}");
+    assert!(refined.gradient < 0.7 * base.gradient);
 }
 
 #[test]

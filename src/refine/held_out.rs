@@ -39,7 +39,8 @@ pub struct HeldOut {
     pub refined: ImageError,
     /// What the sensor's noise alone would leave.
     pub noise: ImageError,
-    /// Root mean square of the gains, less 1, by which slow differences of brightness were taken up on the refined surface.
+    /// Root mean square of the gains, less 1, by which slow differences of brightness were taken up on the refined surface. Of a light that
+    /// is not steady, how bright the images are as wholes says nothing.
     pub slow_gain: f64,
 }
 
@@ -231,6 +232,7 @@ impl Sums {
             usable.then_some([observed, observed - base, observed - refined, sigma * sigma])
         };
         let mut sums = Sums::default();
+        let (mut gains, mut squared_gains) = (0.0, 0.0);
         for v in 1..height - 1 {
             for u in 1..width - 1 {
                 let Some([observed, base, refined, variance]) = pixel(u, v) else {
@@ -239,7 +241,8 @@ impl Sums {
                 sums.n_pixels += 1.0;
                 sums.observed += observed;
                 let gain = view.gain * view.gain_field.at(&Vector2::new(u as f64, v as f64));
-                sums.slow_gain += (gain - 1.0).powi(2);
+                gains += gain;
+                squared_gains += gain * gain;
                 for (sum, square) in
                     sums.intensity
                         .iter_mut()
@@ -266,6 +269,13 @@ impl Sums {
                 sums.gradient[2] += 0.25 * (left[3] + right[3] + above[3] + below[3]);
             }
         }
+        let scale = match view.is_light_steady() {
+            true => 1.0,
+            false => sums.n_pixels / gains.max(f64::MIN_POSITIVE),
+        };
+        // Squares of scaled gains less 1.
+        let squares = squared_gains * scale * scale - 2.0 * gains * scale + sums.n_pixels;
+        sums.slow_gain = squares.max(0.0);
         sums
     }
 

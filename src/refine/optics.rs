@@ -4,7 +4,7 @@ use crate::fusion::DepthNoise;
 use crate::geometry::RayGrid;
 use crate::interreflection::{PatchGrid, WhiteLevel};
 use crate::shading::{Calibration, NearLight};
-use depth_camera::{CameraInfo, Image};
+use depth_camera::{CameraInfo, Image, Sensor};
 
 /// What all views of one camera share.
 pub struct Optics<'a> {
@@ -12,6 +12,8 @@ pub struct Optics<'a> {
     pub rays: &'a RayGrid,
     /// The light.
     pub light: NearLight,
+    /// Whether it is as bright in every image, as a sensor's own emitter is; a lamp beside the sensor fades, or is exposed otherwise.
+    pub is_steady: bool,
     /// IR counts at full scale.
     pub full_scale: f64,
     /// Response, flat field and noise.
@@ -26,6 +28,10 @@ impl<'a> Optics<'a> {
         Some(Optics {
             rays,
             light: calibration.light.near_light(info.light?.position_m),
+            is_steady: match info.sensor {
+                Sensor::Kinect1 => false,
+                Sensor::Kinect2 => true,
+            },
             full_scale: info.ir_full_scale?,
             calibration,
             depth_noise: DepthNoise::of_sensor(info.sensor),
@@ -46,6 +52,7 @@ impl<'a> Optics<'a> {
         Optics {
             rays: self.rays,
             light: calibration.light.near_light(believed_m),
+            is_steady: self.is_steady,
             full_scale: self.full_scale,
             calibration,
             depth_noise: self.depth_noise,

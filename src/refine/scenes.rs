@@ -205,6 +205,7 @@ pub fn optics<'a>(rays: &'a RayGrid, calibration: &'a Calibration) -> Optics<'a>
             position: Point3::new(0.05, 0.0, 0.004),
             lobe_power: calibration.light.lobe_power,
         },
+        is_steady: true,
         full_scale: FULL_SCALE,
         calibration,
         depth_noise: DepthNoise::of_sensor(Sensor::Kinect2),

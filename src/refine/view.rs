@@ -69,6 +69,7 @@ pub struct View {
     camera: CameraModel,
     lens: Lens,
     light: NearLight,
+    is_light_steady: bool,
     light_table: Arc<LightTable>,
     indirect: Arc<IndirectLight>,
     /// The white level if the brightest surfaces of this view are plaster.
@@ -194,6 +195,7 @@ impl View {
             camera,
             lens: Lens::new(&camera),
             light: optics.light,
+            is_light_steady: optics.is_steady,
             light_table: Arc::new(LightTable::new(&optics.light)),
             indirect: Arc::new(IndirectLight::new(&lit, &model_depth_m, optics.rays)),
             plausible_white: lit.plausible_white(),
@@ -258,6 +260,11 @@ impl View {
     /// The camera in single precision.
     pub fn lens(&self) -> &Lens {
         &self.lens
+    }
+
+    /// Whether the light is as bright in every image: [`Optics::is_steady`].
+    pub fn is_light_steady(&self) -> bool {
+        self.is_light_steady
     }
 
     /// The light in single precision.
