@@ -353,7 +353,7 @@ mod tests {
         let reason = RefineError::TooManyViews { n_views }.to_string();
         assert_eq!(report.not_judged_reason.as_ref(), Some(&reason));
         assert_eq!(report.not_refined_reason.as_ref(), Some(&reason));
-        let json = serde_json::to_value(&report.overall).unwrap();
+        let json = serde_json::to_value(report.overall).unwrap();
         for key in ["intensity", "gradient"] {
             assert_eq!(json[key], serde_json::json!([null, null, null]), "{key}");
         }

@@ -16,7 +16,7 @@ const TOP_SIDE: i32 = 64;
 /// Blocks from the origin to the volume's border on each axis.
 const HALF_SIDE: i32 = PAGE_SIDE * TOP_SIDE / 2;
 /// Voxels from the origin to there.
-pub const HALF_SIDE_VOXELS: i32 = HALF_SIDE * BLOCK_SIDE as i32;
+pub const HALF_SIDE_VOXELS: i32 = HALF_SIDE * BLOCK_SIDE;
 
 /// The volume.
 #[derive(Clone)]
@@ -216,17 +216,9 @@ mod tests {
         assert_eq!(volume.find([-1, 5, 300]), Some(1));
         assert_eq!(volume.find([-1, 5, 299]), None);
         assert_eq!(volume.allocate([512, 0, 0]), Err(Refusal::Outside));
-        let block_voxels = BLOCK_SIDE as i32;
-        assert!(TsdfVolume::in_bounds([
-            HALF_SIDE_VOXELS / block_voxels - 1,
-            0,
-            0
-        ]));
-        assert!(!TsdfVolume::in_bounds([
-            HALF_SIDE_VOXELS / block_voxels,
-            0,
-            0
-        ]));
+        let border = HALF_SIDE_VOXELS / BLOCK_SIDE;
+        assert!(TsdfVolume::in_bounds([border - 1, 0, 0]));
+        assert!(!TsdfVolume::in_bounds([border, 0, 0]));
     }
 
     #[test]
