@@ -367,8 +367,9 @@ mod tests {
     }
 
     #[test]
-    fn a_truth_that_lies_elsewhere_ends_it_before_the_long_work() {
+    fn a_truth_that_is_not_near_is_refused() {
         let truth = Truth::new(TriMesh::default(), None);
-        assert!(scan().compared(truth, &arguments()).is_err());
+        let result = scan().compared(truth, &arguments());
+        assert!(matches!(result, Err(SurfaceErrorFailure::Elsewhere { .. })));
     }
 }

@@ -252,10 +252,12 @@ fn pipeline_params(
 /// the way to the scene; where some lie beyond the volume the recording tells, played once, whether they matter.
 fn given_poses(path: &Path, session: &Path, config: &Config) -> anyhow::Result<GivenPoses> {
     let poses = GivenPoses::new(&replay::read_poses(path)?);
-    let reach_m = config.fusion.reach_m();
+    // From farther off no frame sees anything of the volume.
+    let reach_m = config.fusion.reach_m() + config.fusion.depth_max_m;
     if poses.are_within(reach_m) {
         return Ok(poses);
     }
+    tracing::info!(poses = %path.display(), "some poses lie beyond the volume: looking whether frames use them");
     let mut camera = open_recording(session, &config.devices, Pacing::AsFastAsPossible)?;
     let mut n_damaged = 0;
     while let Some(frame) = next_frame(camera.as_mut(), &mut n_damaged)? {
@@ -264,8 +266,8 @@ fn given_poses(path: &Path, session: &Path, config: &Config) -> anyhow::Result<G
         if let Some(pose) = beyond.filter(|_| frame.depth.is_some()) {
             let at = pose.translation.vector;
             bail!(
-                "{}: the pose at {time_secs:.6} s lies at {:.3} {:.3} {:.3} m, each must be within {reach_m:.3} m of 0, which is as far as \
-                 voxels of {} m reach (fusion.voxel_size_m): shift the poses so that the scene lies near the origin",
+                "{}: the pose at {time_secs:.6} s lies at {:.3} {:.3} {:.3} m, each must be within {reach_m:.3} m of 0, as far as voxels \
+                 of {} m reach (fusion.voxel_size_m) and depth beyond them (fusion.depth_max_m): shift the poses so that the scene lies near the origin",
                 path.display(),
                 at.x,
                 at.y,

@@ -82,6 +82,14 @@ impl DeviceCalibration {
         }
     }
 
+    /// Reads and checks a file; `None` where there is none.
+    ///
+    /// # Errors
+    /// As [`Self::read`] has them.
+    pub fn read_if_there(path: &Path) -> Result<Option<Self>, ConfigError> {
+        path.exists().then(|| Self::read(path)).transpose()
+    }
+
     /// Reads and checks a file.
     ///
     /// # Errors

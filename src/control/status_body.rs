@@ -206,6 +206,8 @@ pub struct MeshBody {
 pub struct DaemonBody {
     /// Of the program.
     pub version: &'static str,
+    /// When it started, by its machine's clock: another one has another.
+    pub started_unix_ms: u64,
     /// Since it started.
     pub uptime_secs: f64,
     /// Memory it holds.
@@ -264,6 +266,7 @@ impl StatusBody {
             }),
             daemon: DaemonBody {
                 version: env!("CARGO_PKG_VERSION"),
+                started_unix_ms: supervisor.started_unix_ms,
                 uptime_secs: supervisor.started.elapsed().as_secs_f64(),
                 rss_bytes: pipeline::resident_memory_bytes(),
                 clients: n_clients,

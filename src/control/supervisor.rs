@@ -7,7 +7,7 @@ use super::{
     data_folder::{DataFolder, NoRoom, SessionId},
     events::{Events, Topic},
     refined_error::RefinedError,
-    scan_record::ScanRecord,
+    scan_record::{ScanRecord, unix_ms},
     settings::Settings,
 };
 use crate::{
@@ -116,6 +116,8 @@ pub struct Supervisor {
     pub refined_error: RefinedError,
     /// When the daemon started.
     pub started: Instant,
+    /// The same by the machine's clock.
+    pub started_unix_ms: u64,
     slot: Mutex<Slot>,
     ended: Mutex<EndedScans>,
     is_draining: AtomicBool,
@@ -151,6 +153,7 @@ impl Supervisor {
             events: Events::default(),
             refined_error: RefinedError::default(),
             started: Instant::now(),
+            started_unix_ms: unix_ms(),
             slot: Mutex::default(),
             ended: Mutex::default(),
             is_draining: AtomicBool::new(false),

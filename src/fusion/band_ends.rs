@@ -56,15 +56,31 @@ impl BandEnds {
         self.tiles.par_chunks_mut(self.n_columns)
     }
 
+    /// Whether what lies in a part of the image is seen to be before the band: nothing was measured as near, and something in most tiles.
+    pub fn is_before(&self, extent: &Extent) -> bool {
+        let (mut n_tiles, mut n_measured, mut ends) = (0, 0, NOTHING);
+        for tile in self.tiles_of(extent).flatten() {
+            n_tiles += 1;
+            n_measured += usize::from(*tile != NOTHING);
+            ends = ends.joined(tile);
+        }
+        extent.far_m < ends.near_m && 2 * n_measured > n_tiles
+    }
+
+    /// The tiles that a part of the image reaches, row by row.
+    #[inline(always)]
+    fn tiles_of(&self, extent: &Extent) -> impl Iterator<Item = &[Ends]> {
+        let columns = extent.columns.start() / TILE..extent.columns.end() / TILE + 1;
+        let rows = extent.rows.start() / TILE..=extent.rows.end() / TILE;
+        rows.map(move |row| &self.tiles[row * self.n_columns..][columns.clone()])
+    }
+
     /// Where a brick lies.
     #[inline(always)]
     pub fn sight(&self, extent: &Extent) -> BandSight {
-        let mut ends = NOTHING;
-        let columns = extent.columns.start() / TILE..extent.columns.end() / TILE + 1;
-        for row in extent.rows.start() / TILE..=extent.rows.end() / TILE {
-            let tiles = &self.tiles[row * self.n_columns..][columns.clone()];
-            ends = tiles.iter().fold(ends, |ends, tile| ends.joined(tile));
-        }
+        let ends = self.tiles_of(extent).fold(NOTHING, |ends, tiles| {
+            tiles.iter().fold(ends, |ends, tile| ends.joined(tile))
+        });
         if extent.near_m > ends.far_m {
             BandSight::Hidden
         } else if extent.far_m < ends.near_m {
@@ -182,6 +198,17 @@ mod tests {
                     far_m: near_m + 0.01,
                 })
             };
+            let is_before = |first_column: usize, near_m: f32| {
+                observations.band_ends().is_before(&Extent {
+                    columns: first_column..=first_column + 9,
+                    rows: 3..=9,
+                    near_m,
+                    far_m: near_m + 0.01,
+                })
+            };
+            assert!(is_before(20, 0.445) && !is_before(20, 0.455));
+            // Where half of it is not measured it may be anything.
+            assert!(is_before(42, 0.445) && !is_before(47, 0.445) && !is_before(60, 0.445));
             assert_eq!(sight(20, 0.445), BandSight::Free);
             assert_eq!(sight(20, 0.455), BandSight::InBand);
             assert_eq!(sight(45, 0.535), BandSight::InBand);

@@ -104,8 +104,10 @@ impl WithSimd for UpdateBlocks<'_> {
                 for (seen, &pixel) in seen.iter_mut().zip(&nearest) {
                     *seen = pixels[pixel as usize];
                 }
-                let least_weight = self.view.least_weight(&bricks, brick);
-                let measured = measure(self.view, step, least_weight, &seen, &depth);
+                let mut measured = measure(self.view, step, &seen, &depth);
+                if let Some(weight) = self.view.weight_looking_through(&bricks, brick) {
+                    take_back(&mut measured, weight, weights);
+                }
                 if measured.any {
                     blend(&measured, tsdf, weights);
                 }
@@ -126,7 +128,6 @@ struct Measured {
 fn measure(
     view: &View,
     step: DepthStep,
-    least_weight: f32,
     seen: &[Observation; BRICK_VOXELS],
     depth: &[f32; BRICK_VOXELS],
 ) -> Measured {
@@ -138,13 +139,11 @@ fn measure(
         let counts = (measured > 0.0) & (truncations >= -1.0);
         let cut = if truncations < 1.0 { truncations } else { 1.0 };
         distance[voxel] = if counts { cut * TSDF_ONE } else { 0.0 };
-        let of_pixel = weight_of(seen[voxel]);
-        let counting = if of_pixel > least_weight {
-            of_pixel
+        weight[voxel] = if counts {
+            weight_of(seen[voxel]) * frames
         } else {
-            least_weight
+            0.0
         };
-        weight[voxel] = if counts { counting * frames } else { 0.0 };
         any |= u32::from(counts);
     }
     Measured {
@@ -153,6 +152,20 @@ fn measure(
         any: any != 0,
     }
 }
+
+/// Where the camera looks through what was seen: lets measurements count by `weight`, and for no more than a share of what a voxel
+/// has gathered. One frame that misses a thin part does not take it back, however little its rims weigh.
+#[inline(always)]
+fn take_back(measured: &mut Measured, weight: f32, gathered: &[u16; BRICK_VOXELS]) {
+    for (counting, &gathered) in measured.weight.iter_mut().zip(gathered) {
+        let most = MOST_TAKEN_BACK * f32::from(gathered);
+        let taken = if weight < most { weight } else { most };
+        *counting = if *counting > 0.0 { taken } else { 0.0 };
+    }
+}
+
+/// A look through a voxel counts for no more than this share of what it has gathered.
+const MOST_TAKEN_BACK: f32 = 0.5;
 
 /// Adds measurements to the running means of a brick.
 #[inline(always)]

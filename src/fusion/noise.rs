@@ -49,10 +49,10 @@ impl DepthNoise {
         self.mixes_at_rims
     }
 
-    /// How much more precise a measurement at a depth (m) is than one at object scale.
+    /// How much more precise a measurement of a standard deviation is than a frontal one at object scale; its square is what it weighs.
     #[inline(always)]
-    pub fn precision(&self, depth_m: f32) -> f32 {
-        self.sigma_m(REFERENCE_DEPTH_M) / self.sigma_m(depth_m)
+    pub fn precision(&self, sigma_m: f32) -> f32 {
+        self.sigma_m(REFERENCE_DEPTH_M) / sigma_m
     }
 
     /// Standard deviation at a depth, metres.

@@ -220,7 +220,7 @@ impl WithSimd for HalfRow<'_> {
         for (u, out) in self.out.iter_mut().enumerate() {
             let slope = -(nx[u] * x[u] + ny[u] * y[u] + nz[u]);
             let length = (x[u] * x[u] + y[u] * y[u] + 1.0).sqrt();
-            let precision = self.noise.precision(z[u]);
+            let precision = self.noise.precision(self.noise.sigma_m(z[u]));
             let steep = if slope > MIN_SLOPE { slope } else { MIN_SLOPE };
             let packed = pack(slope / length * precision * precision, steep);
             *out = if slope > 0.0 { packed } else { 0 };
@@ -284,8 +284,9 @@ impl FullRow<'_> {
         let mut pixels = [0; 2 * LANES];
         for i in 0..2 * LANES {
             let (z, half, half_depth) = (depth[i], half[i / 2], half_depth[i / 2]);
-            let reach = SAME_SURFACE_SIGMAS * self.noise.sigma_m(z) + 2.5 * self.pitch * z;
-            let precision = self.noise.precision(z);
+            let sigma_m = self.noise.sigma_m(z);
+            let reach = SAME_SURFACE_SIGMAS * sigma_m + 2.5 * self.pitch * z;
+            let precision = self.noise.precision(sigma_m);
             let rim = pack(self.noise.rim_weight() * precision * precision, 1.0);
             let on_surface = (half != 0) & ((z - half_depth).abs() < reach);
             let packed = if on_surface { half } else { rim };

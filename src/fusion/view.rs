@@ -104,8 +104,8 @@ impl View {
         self.weight
     }
 
-    /// The same for voxels in free space, which are told of it with the weight that a surface there would have had: what is farther off is
-    /// measured less well, but that it is farther is certain. The frame counts for `weight` frames.
+    /// The same for voxels in free space, which are told of it with the weight of a surface there that faces the camera: what is farther off
+    /// is measured less well, but that it is farther is certain. The frame counts for `weight` frames.
     pub fn looking_through(&self, noise: DepthNoise, weight: f32) -> Self {
         View {
             weight,
@@ -114,12 +114,12 @@ impl View {
         }
     }
 
-    /// What a pixel counts for at least in a brick's voxels, in units of its weight.
+    /// What the frame counts for in a brick's voxels where it looks through them, in units of [`WEIGHT_ONE`]; `None` where it does not.
     #[inline(always)]
-    pub fn least_weight(&self, bricks: &Bricks, brick: usize) -> f32 {
-        self.looks_through.map_or(0.0, |noise| {
-            let precision = noise.precision(bricks.depth[brick]);
-            WEIGHT_ONE * precision * precision
+    pub fn weight_looking_through(&self, bricks: &Bricks, brick: usize) -> Option<f32> {
+        self.looks_through.map(|noise| {
+            let precision = noise.precision(noise.sigma_m(bricks.depth[brick]));
+            WEIGHT_ONE * precision * precision * self.weight
         })
     }
 

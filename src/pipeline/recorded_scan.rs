@@ -58,8 +58,8 @@ pub enum RecordedScanError {
     /// The image cannot be understood.
     #[error("the scan does not say where its light is, or what full scale is")]
     NoLight,
-    /// An image is of another size, lens, scale or light than the first one.
-    #[error("{}: another camera than that of the first shading image", .0.display())]
+    /// An image is of another sensor, size, lens, scale or light than the first one.
+    #[error("{}: another camera, lens, full scale or light than that of the first shading image", .0.display())]
     OtherCamera(PathBuf),
     /// What stands beside an image makes no sense.
     #[error("{} is malformed: {reason}", path.display())]
@@ -138,16 +138,11 @@ fn is_refinement(folder: &Path) -> bool {
 
 /// Whether two images are of one camera; its gain may have changed between them.
 fn is_same_camera(first: &CameraInfo, other: &CameraInfo) -> bool {
-    let of = |info: &CameraInfo| {
-        (
-            info.sensor,
-            info.serial.clone(),
-            info.intrinsics,
-            info.ir_full_scale,
-            info.light,
-        )
-    };
-    of(first) == of(other)
+    first.sensor == other.sensor
+        && first.serial == other.serial
+        && first.intrinsics == other.intrinsics
+        && first.ir_full_scale == other.ir_full_scale
+        && first.light == other.light
 }
 
 /// The warning about shading images that are not whole, if there are any.
@@ -319,7 +314,7 @@ mod tests {
             let refusal = refusal([&first, &other]);
             assert!(
                 refusal.ends_with(
-                    "snapshots/001/meta.json: another camera than that of the first shading image"
+                    "snapshots/001/meta.json: another camera, lens, full scale or light than that of the first shading image"
                 ),
                 "{refusal}"
             );

@@ -4,7 +4,7 @@ use crate::fusion::DepthNoise;
 use crate::geometry::RayGrid;
 use crate::interreflection::{PatchGrid, WhiteLevel};
 use crate::shading::{Calibration, NearLight};
-use depth_camera::{CameraInfo, Image, Sensor};
+use depth_camera::{CameraInfo, Image, LightKind};
 
 /// What all views of one camera share.
 pub struct Optics<'a> {
@@ -25,13 +25,11 @@ pub struct Optics<'a> {
 impl<'a> Optics<'a> {
     /// The optics of a camera; `None` if it does not say where its light is, or what full scale is.
     pub fn of(info: &CameraInfo, rays: &'a RayGrid, calibration: &'a Calibration) -> Option<Self> {
+        let light = info.light?;
         Some(Optics {
             rays,
-            light: calibration.light.near_light(info.light?.position_m),
-            is_steady: match info.sensor {
-                Sensor::Kinect1 => false,
-                Sensor::Kinect2 => true,
-            },
+            light: calibration.light.near_light(light.position_m),
+            is_steady: light.kind == LightKind::Emitter,
             full_scale: info.ir_full_scale?,
             calibration,
             depth_noise: DepthNoise::of_sensor(info.sensor),

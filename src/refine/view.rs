@@ -48,7 +48,8 @@ pub struct ImageTrust {
     /// Root mean square of those differences from which on the light model is not believed at all: 0.007 to 0.011 where it
     /// fits, up to 0.033 where neither depth is corrected nor indirect light predicted, 0.032 to 0.048 with gamma 1.4 for 0.87. Gamma 1.1
     /// gives 0.019 to 0.029 and is not found so.
-    /// A quarter of the share of light that is predicted to come over other surfaces is added as squares are.
+    /// A quarter of the share of light that is predicted to come over other surfaces is added as squares are. Of a light that is not steady
+    /// ([`Optics::is_steady`]) only differences within each image count.
     pub max_slow_gain: f64,
 }
 

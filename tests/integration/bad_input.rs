@@ -130,12 +130,12 @@ fn poses_beyond_the_volume_are_refused_where_a_frame_uses_them() {
     let bench = Workbench::with_frames(2);
     let far = bench.write(
         "far.txt",
-        "100.0 0 0 0 0 0 0 1\n100.033333 0 -9.5 0 0 0 0 1\n",
+        "100.0 0 0 0 0 0 0 1\n100.033333 0 -10.5 0 0 0 0 1\n",
     );
     let output = bench.replay(&["--poses", far.to_str().unwrap()]);
     let pieces = [
-        "far.txt: the pose at 100.033333 s lies at 0.000 -9.500 0.000 m",
-        "within 8.192 m of 0",
+        "far.txt: the pose at 100.033333 s lies at 0.000 -10.500 0.000 m",
+        "within 10.192 m of 0",
         "shift the poses",
     ];
     assert_says(&output, 1, &pieces);
@@ -161,7 +161,8 @@ fn poses_beyond_the_volume_are_refused_where_a_frame_uses_them() {
 #[test]
 fn a_model_without_surface_is_no_success_and_not_for_want_of_an_object() {
     let bench = Workbench::with_frames(1);
-    let reason = "1 frames were fused, but no place was seen often enough for a surface (fusion.min_surface_weight)";
+    let reason =
+        "the model has no surface: no place was seen often enough (fusion.min_surface_weight)";
     let config = bench.write("crop.toml", "[object]\ncrop = \"object\"\n");
     let config = ["--config", config.to_str().unwrap()];
     // Nor is it for want of what lies in a box.
@@ -241,7 +242,7 @@ fn a_file_that_does_not_fit_is_named_and_leaves_nothing_behind() {
         assert!(!out.join(name).exists(), "{name}");
     }
     assert!(out.join("trajectory.txt").is_file());
-    // What is named as an output is there.
+    // What is named as an output is there, and only that is named.
     let told = String::from_utf8_lossy(&output.stdout);
     for line in ["base mesh:", "report:"] {
         assert!(!told.contains(line), "{told}");

@@ -90,6 +90,10 @@ fn a_scan_is_evaluated_with_all_ablations_against_a_truth_and_refined_from_one_v
     assert_says(&refined, 0, &[]);
     let mesh = read_ply(&one_view.join("refined.ply")).unwrap();
     assert!(mesh.faces.len() > 100);
+    let told = String::from_utf8_lossy(&refined.stdout);
+    for line in ["base mesh:", "refined mesh:", "report:"] {
+        assert!(told.contains(line), "{told}");
+    }
 }
 
 /// So many frames of the demo.

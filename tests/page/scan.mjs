@@ -286,7 +286,7 @@ export class StandInDaemon {
       snapshots: { accepted, rejected: (scan?.snapshots.length ?? 0) - accepted, wanted: 36 },
       kinect1_sequence: this.#sequence, refinement: this.#refinementStatus, refinements_waiting: this.#waiting.length,
       recording: { active: Boolean(scan), bytes: produced * 260_000, recorded: produced, dropped: { ir: Math.floor(produced / 200), frames: 0 }, disk_free_bytes: 47e9, disk_floor_bytes: 2e9, reason: null },
-      mesh: this.mesh, daemon: { version: this.version, uptime_secs: (Date.now() - this.started) / 1000, rss_bytes: 412e6, clients: 1, config_error: null },
+      mesh: this.mesh, daemon: { version: this.version, started_unix_ms: this.started, uptime_secs: (Date.now() - this.started) / 1000, rss_bytes: 412e6, clients: 1, config_error: null },
     };
   }
 }

@@ -78,8 +78,7 @@ pub fn depth(args: &DepthArgs, stop: &AtomicBool) -> anyhow::Result<Verdict> {
         tracing::warn!("{wrong}");
     }
     device.light.white_level = measured.white.map(|measured| measured.white.0);
-    let in_file = path.exists().then(|| DeviceCalibration::read(&path));
-    let known = in_file.transpose()?.and_then(|file| file.range_error_m);
+    let known = DeviceCalibration::read_if_there(&path)?.and_then(|file| file.range_error_m);
     device.range_error_m = measured
         .range_error
         .clone()

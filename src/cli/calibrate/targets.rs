@@ -430,8 +430,7 @@ fn write(
 /// Whether the light's lobe is in a device's own file; one that is not there has none. A complete calibration has a lobe always, as that
 /// beside a recording, and says nothing of whether it was measured.
 fn has_lobe(file: &Path) -> anyhow::Result<bool> {
-    let in_file = file.exists().then(|| DeviceCalibration::read(file));
-    let device = in_file.transpose()?;
+    let device = DeviceCalibration::read_if_there(file)?;
     Ok(device.is_some_and(|device| device.holds(CalibrationKey::LightLobePower)))
 }
 

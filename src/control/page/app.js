@@ -14,8 +14,6 @@ import { Snapshots } from './snapshots.js';
 import { describeEnding, describeRefusal, describeState, isLost } from './words.js';
 
 const PATH_INTERVAL_MS = 1000;
-/** When a daemon started is known no better than this: its status may come late. */
-const START_SLACK_MS = 8000;
 const TOAST_MS = 6000;
 /** A sentence takes longer to read than a word. */
 const TOAST_MS_PER_CHARACTER = 50;
@@ -37,8 +35,6 @@ const connection = new Connection({ state: showConnection, status: showStatus, p
 const refusals = new Refusals((refused) => report({ message: describeRefusal(refused), code: `refused_${refused.command}` }));
 
 let status = null;
-/** When the daemon started, by this machine's clock. */
-let startedMs = 0;
 let stage = null;
 let sessionsKey = '';
 let toastTimer = 0;
@@ -67,12 +63,9 @@ async function openStage() {
 
 function showStatus(next) {
   const before = status;
-  const startedBeforeMs = startedMs;
   status = next;
-  startedMs = Date.now() - 1000 * next.daemon.uptime_secs;
   if (before && next.daemon.version !== before.daemon.version) return location.reload();
-  // However long the page did not hear of the daemon: by then it may have been up for longer than the one before was.
-  const hasRestarted = before && startedMs > startedBeforeMs + START_SLACK_MS;
+  const hasRestarted = before && next.daemon.started_unix_ms !== before.daemon.started_unix_ms;
   const scanId = next.scan?.id ?? null;
   if (hasRestarted || (scanId && scanId !== (before?.scan?.id ?? null))) stage?.clear();
 

@@ -75,11 +75,11 @@ impl FusionStage {
             );
             let is_empty = base.faces.is_empty();
             self.summary.no_surface_reason = is_empty.then(|| {
-                format!(
-                    "{} frames were fused, but no place was seen often enough for a surface (fusion.min_surface_weight): \
-                     scan for longer",
-                    self.trajectory.len()
-                )
+                let refusal = self.summary.refusal.as_deref();
+                let why = refusal.unwrap_or(
+                    "no place was seen often enough (fusion.min_surface_weight): scan for longer",
+                );
+                format!("the model has no surface: {why}")
             });
             let trajectory = std::mem::take(&mut self.trajectory);
             self.summary.scan = Some(Arc::new(FusedScan {
