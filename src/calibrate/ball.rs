@@ -28,7 +28,7 @@ pub struct Ball {
 }
 
 /// Balls that are told, metres: one of 5 cm across still is at 1.2 m.
-const RADII_M: RangeInclusive<f64> = 0.02..=0.4;
+pub const BALL_RADII_M: RangeInclusive<f64> = 0.02..=0.4;
 /// Smaller pieces are no targets.
 const MIN_PIXELS: usize = 100;
 const N_STEPS: usize = 10;
@@ -182,7 +182,7 @@ impl View<'_> {
             .filter(|point| self.is_on_sphere(point, &centre, r));
         let is_explained = on_sphere.count() as f64 >= MIN_ON_SPHERE * piece.len() as f64;
         let is_ball = self.plane.height_m(&centre) > MIN_HEIGHT * r && centre.z > r;
-        (is_explained && is_ball && RADII_M.contains(&r)).then_some((centre, r))
+        (is_explained && is_ball && BALL_RADII_M.contains(&r)).then_some((centre, r))
     }
 
     /// Of what a sphere would show before the plane the share that has depth on it.

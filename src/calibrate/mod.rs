@@ -38,6 +38,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
+pub use ball::BALL_RADII_M;
 pub use estimate::{Estimate, INTERVAL_SIGMAS, Measured, SessionFit};
 pub use gather::{Gatherer, Scan, Shares, Target, TargetImage};
 pub use inverse_square::{InverseSquare, N_REGIONS, inverse_square};

@@ -16,7 +16,7 @@ use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use depth_camera::{CameraInfo, DepthCamera, Frame};
 use relief::{
-    calibrate::NoEstimate,
+    calibrate::{BALL_RADII_M, NoEstimate},
     config::{
         self, CalibrationKey, Config, DeviceCalibration, MeasuredSession, MergeError, MergeReport,
     },
@@ -270,8 +270,10 @@ impl FromStr for RadiusArg {
             .parse()
             .with_context(|| format!("\"{text}\" is no number"))?;
         ensure!(
-            (0.03..=0.4).contains(&radius),
-            "{radius} must be 0.03 to 0.4"
+            BALL_RADII_M.contains(&radius),
+            "{radius} must be {} to {}",
+            BALL_RADII_M.start(),
+            BALL_RADII_M.end()
         );
         Ok(RadiusArg(radius))
     }
@@ -326,7 +328,7 @@ mod tests {
         }
         assert_eq!(
             "12".parse::<RadiusArg>().unwrap_err().to_string(),
-            "12 must be 0.03 to 0.4"
+            "12 must be 0.02 to 0.4"
         );
     }
 }
