@@ -171,7 +171,8 @@ pub fn judge(
 }
 
 /// Root mean square of the gains, less 1, by which a set of views differs slowly in brightness from a mesh with its albedo, where
-/// others told of it; `None` where they show nothing of that.
+/// others told of it; `None` where they show nothing of that. How bright the images are as wholes counts by any light: of two
+/// calibrations it tells most.
 pub fn slow_gain(
     rounds: &Rounds,
     (mesh, albedo): (&TriMesh, &Albedo),
@@ -188,8 +189,8 @@ pub fn slow_gain(
         Sums::over(&view, &rendered, &rendered)
     });
     let sums: Vec<Sums> = sums.collect();
-    let total = sums.iter().fold(Sums::default(), Sums::plus).means();
-    (total.n_pixels > 0).then_some(total.slow_gain)
+    let total = sums.iter().fold(Sums::default(), Sums::plus);
+    (total.n_pixels > 0.0).then(|| (total.gain_of_wholes / total.n_pixels).sqrt())
 }
 
 fn settle_and_render(rounds: &Rounds, surface: &UnseenSurface, view: &mut View) -> Image<f32> {
@@ -217,6 +218,8 @@ struct Sums {
     n_gradients: f64,
     gradient: [f64; 3],
     slow_gain: f64,
+    /// The same where wholes count by any light.
+    gain_of_wholes: f64,
 }
 
 impl Sums {
@@ -269,13 +272,15 @@ impl Sums {
                 sums.gradient[2] += 0.25 * (left[3] + right[3] + above[3] + below[3]);
             }
         }
-        let scale = match view.is_light_steady() {
-            true => 1.0,
-            false => sums.n_pixels / gains.max(f64::MIN_POSITIVE),
-        };
         // Squares of scaled gains less 1.
-        let squares = squared_gains * scale * scale - 2.0 * gains * scale + sums.n_pixels;
-        sums.slow_gain = squares.max(0.0);
+        let squares = |scale: f64| {
+            (squared_gains * scale * scale - 2.0 * gains * scale + sums.n_pixels).max(0.0)
+        };
+        sums.gain_of_wholes = squares(1.0);
+        sums.slow_gain = match view.is_light_steady() {
+            true => sums.gain_of_wholes,
+            false => squares(sums.n_pixels / gains.max(f64::MIN_POSITIVE)),
+        };
         sums
     }
 
@@ -284,6 +289,7 @@ impl Sums {
         self.observed += other.observed;
         self.n_gradients += other.n_gradients;
         self.slow_gain += other.slow_gain;
+        self.gain_of_wholes += other.gain_of_wholes;
         for k in 0..3 {
             self.intensity[k] += other.intensity[k];
             self.gradient[k] += other.gradient[k];

@@ -19,7 +19,7 @@ use super::optics::Optics;
 use super::sites::Sites;
 use super::view::View;
 use crate::shading::{Calibration, Gloss};
-use fit::{Fit, Unknowns, fit, loss, residual_scale};
+use fit::{Fit, GAIN_SIGMA, LAMP_GAIN_SIGMA, Unknowns, fit, loss, residual_scale};
 use lit_patch::LitPatch;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -245,6 +245,10 @@ fn start(optics: &Optics, n_views: usize, gloss: &[Gloss]) -> Unknowns {
         log_indirect: 0.0,
         gloss: gloss.to_vec(),
         log_gains: vec![0.0; n_views],
+        gain_sigma: match optics.is_steady {
+            true => GAIN_SIGMA,
+            false => LAMP_GAIN_SIGMA,
+        },
     }
 }
 

@@ -19,7 +19,9 @@ const MODEL_SIGMA: f64 = 0.0022;
 const INDIRECT_MODEL_SIGMA: f64 = 0.035;
 /// Standard deviation of a view's gain as a share of it: how much the exposures of one device differ. What alignment is configured
 /// to allow changes none of that.
-const GAIN_SIGMA: f64 = 0.015;
+pub const GAIN_SIGMA: f64 = 0.015;
+/// The same of a lamp, which fades, and is exposed otherwise.
+pub const LAMP_GAIN_SIGMA: f64 = 0.05;
 /// Standard deviation of the logarithm of gloss's exponent, and the exponents that are believed.
 const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
 const GLOSS_POWERS: (f64, f64) = (5.0, 300.0);
@@ -50,6 +52,8 @@ pub struct Unknowns {
     pub gloss: Vec<Gloss>,
     /// Logarithm of the gain of each view.
     pub log_gains: Vec<f64>,
+    /// Standard deviation of these.
+    pub gain_sigma: f64,
 }
 
 /// A residual, `ln I / gamma - ln flat - ln (n · E + gloss) - ln rho - ln gain`, and its derivatives; gloss is taken to stay as the light
@@ -200,7 +204,7 @@ impl Unknowns {
         ];
         let gloss = gloss_sigmas.iter();
         let gloss = gloss.flat_map(|&sigma| [sigma, GLOSS_LOG_POWER_SIGMA]);
-        let gains = self.log_gains.iter().map(|_| GAIN_SIGMA);
+        let gains = self.log_gains.iter().map(|_| start.gain_sigma);
         let sigmas = shared.into_iter().chain(gloss).chain(gains);
         let distances = self.distances(start).into_iter();
         distances
@@ -460,6 +464,7 @@ mod tests {
             log_indirect: 0.0,
             gloss: vec![Gloss::default()],
             log_gains: vec![0.0; 6],
+            gain_sigma: GAIN_SIGMA,
         };
         let golden = |k: usize, step: f64| (k as f64 * step).fract() - 0.5;
         let patch = |k: usize| {
@@ -519,6 +524,7 @@ mod tests {
             log_indirect: 0.2,
             gloss: vec![Gloss::default(), gloss],
             log_gains: vec![0.1],
+            gain_sigma: GAIN_SIGMA,
         };
         let normal = Vector3::new(0.3, -0.2, -0.9);
         let reading = Reading {
