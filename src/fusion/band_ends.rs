@@ -190,22 +190,15 @@ mod tests {
         let pixels: Vec<Observation> = pixels.collect();
         for arch in crate::geometry::lanes::arch_levels() {
             let observations = Observations::of_pixels(arch, &pixels, WIDTH, step, 0.02);
-            let sight = |first_column: usize, near_m: f32| {
-                observations.band_ends().sight(&Extent {
-                    columns: first_column..=first_column + 9,
-                    rows: 3..=9,
-                    near_m,
-                    far_m: near_m + 0.01,
-                })
+            let extent = |first_column: usize, near_m: f32| Extent {
+                columns: first_column..=first_column + 9,
+                rows: 3..=9,
+                near_m,
+                far_m: near_m + 0.01,
             };
-            let is_before = |first_column: usize, near_m: f32| {
-                observations.band_ends().is_before(&Extent {
-                    columns: first_column..=first_column + 9,
-                    rows: 3..=9,
-                    near_m,
-                    far_m: near_m + 0.01,
-                })
-            };
+            let ends = observations.band_ends();
+            let sight = |first_column, near_m| ends.sight(&extent(first_column, near_m));
+            let is_before = |first_column, near_m| ends.is_before(&extent(first_column, near_m));
             assert!(is_before(20, 0.445) && !is_before(20, 0.455));
             // Where half of it is not measured it may be anything.
             assert!(is_before(42, 0.445) && !is_before(47, 0.445) && !is_before(60, 0.445));

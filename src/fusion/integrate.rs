@@ -164,7 +164,8 @@ fn take_back(measured: &mut Measured, weight: f32, gathered: &[u16; BRICK_VOXELS
     }
 }
 
-/// A look through a voxel counts for no more than this share of what it has gathered.
+/// A look through a voxel counts for no more than this share of what it has gathered; arbitrary, a surface half-way into its band is gone
+/// after one or two looks.
 const MOST_TAKEN_BACK: f32 = 0.5;
 
 /// Adds measurements to the running means of a brick.

@@ -20,7 +20,7 @@ const INDIRECT_MODEL_SIGMA: f64 = 0.035;
 /// Standard deviation of a view's gain as a share of it: how much the exposures of one device differ. What alignment is configured
 /// to allow changes none of that.
 pub const GAIN_SIGMA: f64 = 0.015;
-/// The same of a lamp, which fades, and is exposed otherwise.
+/// The same of a lamp, which fades, and is exposed otherwise; arbitrary, three times as much as an emitter's costs gamma hardly anything.
 pub const LAMP_GAIN_SIGMA: f64 = 0.05;
 /// Standard deviation of the logarithm of gloss's exponent, and the exponents that are believed.
 const GLOSS_LOG_POWER_SIGMA: f64 = 0.7;
