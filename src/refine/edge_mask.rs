@@ -11,30 +11,82 @@ const OCCLUDER_SIGMAS: f32 = 4.0;
 const DEPTH_EDGE_M: f32 = 0.02;
 /// So are those beyond as many pixels' widths, where these are more: slants of 81° at any distance.
 const DEPTH_EDGE_PX: f32 = 12.0;
+/// The live depth denies an edge of the model if it has none within so many times two pixels of there: that of a Kinect I ends half its
+/// window beyond what it sees.
+const DENIED_WITHIN: usize = 2;
 
-/// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN).
+/// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN). Where the
+/// model ends but the live depth goes on as far as the model does beside it, as round what few frames saw, there is no edge.
 pub fn mask_edges_and_occluders(
     optics: &Optics,
     linear: &mut Image<f32>,
     model_depth_m: &Image<f32>,
     live_depth_m: &Image<f32>,
 ) {
-    let nearest = of_pixels_around(model_depth_m, |a, b| if a < b { a } else { b });
-    let farthest = of_pixels_around(model_depth_m, |a, b| if a > b { a } else { b });
-    let edge_share = DEPTH_EDGE_PX / optics.rays.camera().intrinsics().fx as f32;
-    let depths = model_depth_m.data().iter().zip(live_depth_m.data());
-    let around = nearest.data().iter().zip(farthest.data());
-    let pixels = linear.data_mut().iter_mut().zip(depths.zip(around));
-    for (value, ((&centre, &live), (nearest, farthest))) in pixels {
-        // Not so where one of them is infinite, or beyond the border.
-        let edge_m = DEPTH_EDGE_M.max(edge_share * centre);
-        let is_smooth = centre - nearest < edge_m && farthest - centre < edge_m;
-        let occluder_m = OCCLUDER_M.max(OCCLUDER_SIGMAS * optics.depth_noise.sigma_m(centre));
-        let is_hidden = live > 0.0 && live < centre - occluder_m;
-        if !is_smooth || is_hidden {
+    let is_before = |live: f32, z_m: f32| {
+        let occluder_m = OCCLUDER_M.max(OCCLUDER_SIGMAS * optics.depth_noise.sigma_m(live));
+        live > 0.0 && live < z_m - occluder_m
+    };
+    let mut seen_m = model_depth_m.clone();
+    for (seen, &live) in seen_m.data_mut().iter_mut().zip(live_depth_m.data()) {
+        if is_before(live, *seen) {
+            *seen = live;
+        }
+    }
+    let around_model = Around::new(model_depth_m);
+    let model_edges = around_model.edges(model_depth_m, optics);
+    let mut seen_edges = Around::new(&seen_m).edges(&seen_m, optics);
+    for _ in 0..DENIED_WITHIN {
+        seen_edges = of_pixels_around(&seen_edges, greater);
+    }
+    let live = live_depth_m.data().iter().zip(around_model.nearest.data());
+    let edges = model_edges.data().iter().zip(seen_edges.data());
+    let pixels = linear.data_mut().iter_mut().zip(edges.zip(live));
+    for (value, ((&of_model, &of_seen), (&live, &nearest))) in pixels {
+        // Beyond the border both are NaN.
+        let is_smooth = of_model == 0.0 || of_seen == 0.0;
+        if !is_smooth || is_before(live, nearest) {
             *value = f32::NAN;
         }
     }
+}
+
+/// The nearest and the farthest of the pixels around each.
+struct Around {
+    nearest: Image<f32>,
+    farthest: Image<f32>,
+}
+
+impl Around {
+    fn new(depth_m: &Image<f32>) -> Self {
+        Around {
+            nearest: of_pixels_around(depth_m, lesser),
+            farthest: of_pixels_around(depth_m, greater),
+        }
+    }
+
+    /// 1 at the depth edges, 0 elsewhere.
+    fn edges(&self, depth_m: &Image<f32>, optics: &Optics) -> Image<f32> {
+        let edge_share = DEPTH_EDGE_PX / optics.rays.camera().intrinsics().fx as f32;
+        let mut edges = depth_m.clone();
+        let around = self.nearest.data().iter().zip(self.farthest.data());
+        for (edge, (nearest, farthest)) in edges.data_mut().iter_mut().zip(around) {
+            let centre = *edge;
+            let edge_m = DEPTH_EDGE_M.max(edge_share * centre);
+            // Not so where one of them is infinite, or beyond the border.
+            let is_smooth = centre - nearest < edge_m && farthest - centre < edge_m;
+            *edge = f32::from(u8::from(!is_smooth));
+        }
+        edges
+    }
+}
+
+fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 /// What `of_two` takes of all pixels up to two beside each, which are numbers; NaN for pixels that are not so far from the border.
@@ -83,6 +135,7 @@ mod tests {
         }
         let mut live = model.clone();
         model[at(4, 8)] = f32::INFINITY;
+        live[at(4, 8)] = 0.0;
         live[at(4, 3)] = 0.58;
         live[at(5, 3)] = 0.0;
         let image = |values: &[f32]| Image::from_vec(width, height, values.to_vec());
@@ -131,5 +184,51 @@ mod tests {
         // Four standard deviations of a Kinect I are 56 mm at 3 m.
         assert!(is_used(3.0, 0.0, 0.05) && !is_used(3.0, 0.0, 0.06));
         assert!(is_used(0.6, 0.0, 0.014) && !is_used(0.6, 0.0, 0.016));
+    }
+
+    /// Which pixels of a row in the middle of images whose columns have these depths are used.
+    fn used(model_m: &[f32], live_m: &[f32]) -> Vec<bool> {
+        const HEIGHT: usize = 21;
+        let (rays, calibration) = (rays(), calibration());
+        let optics = optics(&rays, &calibration);
+        let image = |row: &[f32]| Image::from_vec(row.len(), HEIGHT, row.repeat(HEIGHT));
+        let mut linear = Image::filled(model_m.len(), HEIGHT, 1.0);
+        mask_edges_and_occluders(&optics, &mut linear, &image(model_m), &image(live_m));
+        let row = linear.row(HEIGHT / 2);
+        row.iter().map(|value| !value.is_nan()).collect()
+    }
+
+    #[test]
+    fn where_the_model_ends_and_the_live_depth_goes_on_is_no_edge() {
+        let live = [0.6; 30];
+        let used_beside = |behind: f32| {
+            let mut model = live;
+            model[15..].fill(behind);
+            used(&model, &live)[2..15].iter().all(|&is_used| is_used)
+        };
+        // Through a hole one sees nothing, or what is behind.
+        assert!(used_beside(f32::INFINITY) && used_beside(0.8));
+        // A hand before the model hides it, also where the model has an edge.
+        let hand = [0.5; 30];
+        let mut model = live;
+        model[15..].fill(0.8);
+        assert!(!used(&model, &hand).contains(&true));
+    }
+
+    #[test]
+    fn live_depth_that_ends_a_little_beyond_the_model_denies_no_edge() {
+        let mut model = [0.6; 30];
+        model[15..].fill(0.8);
+        let used_where_it_ends = |column: usize| {
+            let mut live = [0.6; 30];
+            live[column..].fill(0.8);
+            used(&model, &live)
+        };
+        for column in 15..=19 {
+            let used = used_where_it_ends(column);
+            assert!(used[2..13].iter().all(|&is_used| is_used), "{column}");
+            assert!(!used[13] && !used[14], "{column}");
+        }
+        assert!(used_where_it_ends(24)[13..15] == [true; 2]);
     }
 }
