@@ -7,13 +7,13 @@ use depth_camera::Image;
 const OCCLUDER_M: f32 = 0.015;
 /// So is one by as many standard deviations of the depth, where these are more: from 1.6 m on with a Kinect I.
 const OCCLUDER_SIGMAS: f32 = 4.0;
-/// Depth differences beyond this between pixels two apart are an edge, metres; 81° at 0.6 m on Kinect II.
-const DEPTH_EDGE_M: f32 = 0.02;
-/// So are those beyond as many pixels' widths, where these are more: slants of 81° at any distance.
-const DEPTH_EDGE_PX: f32 = 12.0;
-/// The live depth denies an edge of the model if it has none within so many times two pixels of there: that of a Kinect I ends half its
-/// window beyond what it sees.
-const DENIED_WITHIN: usize = 2;
+/// Depth differences beyond this between neighbouring pixels are an edge, metres; 83° at 0.6 m on Kinect II.
+const DEPTH_EDGE_M: f32 = 0.014;
+/// So are those beyond as many pixels' widths, where these are more: slants of 83° at any distance.
+const DEPTH_EDGE_PX: f32 = 8.5;
+/// The live depth denies an edge of the model if it has none within so many pixels of there: that of a Kinect I ends half its window
+/// beyond what it sees.
+const DENIED_WITHIN_PX: usize = 4;
 
 /// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN). Where the
 /// model ends but the live depth goes on as far as the model does beside it, as round what few frames saw, there is no edge.
@@ -36,7 +36,7 @@ pub fn mask_edges_and_occluders(
     let around_model = Around::new(model_depth_m);
     let model_edges = around_model.edges(model_depth_m, optics);
     let mut seen_edges = Around::new(&seen_m).edges(&seen_m, optics);
-    for _ in 0..DENIED_WITHIN {
+    for _ in 0..DENIED_WITHIN_PX {
         seen_edges = of_pixels_around(&seen_edges, greater);
     }
     let live = live_depth_m.data().iter().zip(around_model.nearest.data());
@@ -89,28 +89,26 @@ fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// What `of_two` takes of all pixels up to two beside each, which are numbers; NaN for pixels that are not so far from the border.
+/// What `of_two` takes of each pixel and the eight round it, which are numbers; NaN on the border.
 fn of_pixels_around(image: &Image<f32>, of_two: impl Fn(f32, f32) -> f32) -> Image<f32> {
-    const REACH: usize = 2;
-    const SIDE: usize = 2 * REACH + 1;
     let (width, height) = (image.width(), image.height());
     let mut of_rows = Image::filled(width, height, f32::NAN);
     let mut of_all = of_rows.clone();
-    if width < SIDE || height < SIDE {
+    if width < 3 || height < 3 {
         return of_all;
     }
-    let inner = REACH..width - REACH;
+    let inner = 1..width - 1;
     for (v, out) in of_rows.data_mut().chunks_exact_mut(width).enumerate() {
-        let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|left| &image.row(v)[left..]);
+        let [a, b, c] = [0, 1, 2].map(|left| &image.row(v)[left..]);
         for (u, out) in out[inner.clone()].iter_mut().enumerate() {
-            *out = of_two(of_two(of_two(a[u], b[u]), of_two(c[u], d[u])), e[u]);
+            *out = of_two(of_two(a[u], b[u]), c[u]);
         }
     }
     let rows = of_all.data_mut().chunks_exact_mut(width);
-    for (above, out) in rows.skip(REACH).take(height - 2 * REACH).enumerate() {
-        let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|below| of_rows.row(above + below));
+    for (above, out) in rows.skip(1).take(height - 2).enumerate() {
+        let [a, b, c] = [0, 1, 2].map(|below| of_rows.row(above + below));
         for u in inner.clone() {
-            out[u] = of_two(of_two(of_two(a[u], b[u]), of_two(c[u], d[u])), e[u]);
+            out[u] = of_two(of_two(a[u], b[u]), c[u]);
         }
     }
     of_all
@@ -144,13 +142,13 @@ mod tests {
         let optics = optics(&rays, &calibration);
         mask_edges_and_occluders(&optics, &mut linear, &image(&model), &image(&live));
         let differs = |u: usize, v: usize| {
-            let around = (v - 2..=v + 2).flat_map(|y| (u - 2..=u + 2).map(move |x| (x, y)));
+            let around = (v - 1..=v + 1).flat_map(|y| (u - 1..=u + 1).map(move |x| (x, y)));
             let mut apart = around.map(|(x, y)| (model[at(x, y)] - model[at(u, v)]).abs());
             apart.any(|apart| apart >= DEPTH_EDGE_M || apart.is_nan())
         };
         for v in 0..height {
             for u in 0..width {
-                let is_inside = u >= 2 && v >= 2 && u + 2 < width && v + 2 < height;
+                let is_inside = u >= 1 && v >= 1 && u + 1 < width && v + 1 < height;
                 let expected = is_inside && !differs(u, v) && (u, v) != (4, 3);
                 assert_eq!(!linear.at(u, v).is_nan(), expected, "{u}, {v}");
             }
@@ -176,11 +174,11 @@ mod tests {
             mask_edges_and_occluders(&optics, &mut linear, &model, &live);
             !linear.at(middle.0, middle.1).is_nan()
         };
-        // 80° and 82°; nearer than 0.83 m what is 20 mm deep is no edge.
+        // 83° and 84°; nearer than 0.82 m what is 14 mm deep is no edge.
         for z_m in [1.5, 3.0] {
-            assert!(is_used(z_m, 5.67, 0.0) && !is_used(z_m, 7.1, 0.0), "{z_m}");
+            assert!(is_used(z_m, 8.1, 0.0) && !is_used(z_m, 9.5, 0.0), "{z_m}");
         }
-        assert!(is_used(0.6, 7.1, 0.0));
+        assert!(is_used(0.6, 9.5, 0.0));
         // Four standard deviations of a Kinect I are 56 mm at 3 m.
         assert!(is_used(3.0, 0.0, 0.05) && !is_used(3.0, 0.0, 0.06));
         assert!(is_used(0.6, 0.0, 0.014) && !is_used(0.6, 0.0, 0.016));
@@ -204,7 +202,7 @@ mod tests {
         let used_beside = |behind: f32| {
             let mut model = live;
             model[15..].fill(behind);
-            used(&model, &live)[2..15].iter().all(|&is_used| is_used)
+            used(&model, &live)[1..15].iter().all(|&is_used| is_used)
         };
         // Through a hole one sees nothing, or what is behind.
         assert!(used_beside(f32::INFINITY) && used_beside(0.8));
@@ -226,9 +224,9 @@ mod tests {
         };
         for column in 15..=19 {
             let used = used_where_it_ends(column);
-            assert!(used[2..13].iter().all(|&is_used| is_used), "{column}");
-            assert!(!used[13] && !used[14], "{column}");
+            assert!(used[1..14].iter().all(|&is_used| is_used), "{column}");
+            assert!(!used[14], "{column}");
         }
-        assert!(used_where_it_ends(24)[13..15] == [true; 2]);
+        assert!(used_where_it_ends(20)[14]);
     }
 }

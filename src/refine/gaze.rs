@@ -17,8 +17,8 @@ use surfels::{by_lane, dot, dots};
 
 /// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
 const HIDDEN_BEYOND_M: f32 = 0.004;
-/// Cosines of incidence below this are grazing, at the camera and at the light.
-const MIN_COSINE: f32 = 0.25;
+/// Cosines of incidence below this are grazing, at the camera and at the light: 80°.
+const MIN_COSINE: f32 = 0.17;
 /// Pixels from a depth buffer's rim within which nothing is known to hide a point or not.
 const RIM_PX: f32 = 2.0;
 

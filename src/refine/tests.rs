@@ -97,7 +97,7 @@ fn check_gradient(linearisation: Linearisation, kind: SiteKind, finds_tints: boo
     // Tints are near their best values, at which the energy does not change with them; what they leave to the groups' albedos is the
     // small rest of two large sums.
     let (tolerance, of_groups) = if finds_tints {
-        (0.05, 0.15)
+        (0.05, 0.2)
     } else {
         (1e-4, 1e-4)
     };

@@ -132,8 +132,9 @@ fn what_lies_behind_faces_away_or_grazes_is_not_seen() {
     assert!(!gaze.sees(&moved(0.006), &normals)[middle], "is hidden");
     let turned = normals.map(|axis| axis.map(|x| -x));
     assert_eq!(gaze.sees(&points, &turned), [false; LANES]);
-    let grazing = [[0.98; LANES], [0.0; LANES], [-0.2; LANES]];
-    assert!(!gaze.sees(&points, &grazing)[middle], "grazes");
+    let slanting = |cosine: f32| [[1.0; LANES], [0.0; LANES], [-cosine; LANES]];
+    assert!(gaze.sees(&points, &slanting(0.21))[middle]);
+    assert!(!gaze.sees(&points, &slanting(0.15))[middle], "grazes");
 }
 
 #[test]
