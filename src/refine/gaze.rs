@@ -78,6 +78,8 @@ pub struct Weighed {
     pub light: Lanes3,
     /// Pixels that a square metre covers; negative seen from behind.
     pub pixels_per_m2: Lane,
+    /// Whether the pixels are clear of depth edges.
+    pub is_clear: [bool; LANES],
     /// What changes as the points move.
     pub slopes: Slopes,
 }
@@ -290,6 +292,7 @@ impl<'a> Gaze<'a> {
             observed: [f32::NAN; LANES],
             light: [[0.0; LANES]; 3],
             pixels_per_m2: [0.0; LANES],
+            is_clear: [false; LANES],
             // No closure of an `Option`, which would be compiled without vector instructions.
             slopes: match along {
                 Some(along) => self.slopes(&looks, &normals, &self.turned(along)),
@@ -301,6 +304,8 @@ impl<'a> Gaze<'a> {
             None => [0.0; LANES],
         };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
+        let near_edges = self.view.near_edges();
+        let first = firsts(near_edges, &looks.pixel);
         for i in 0..LANES {
             let inv_sigma = 1.0 / looks.sigma[i];
             let [x, y, z] = [0, 1, 2].map(|axis| looks.point[axis][i]);
@@ -314,6 +319,9 @@ impl<'a> Gaze<'a> {
             for axis in 0..3 {
                 weighed.light[axis][i] = light[axis];
             }
+            let (at, below) = (first[i], first[i] + near_edges.width());
+            let corners = [at, at + 1, below, below + 1];
+            weighed.is_clear[i] = corners.iter().all(|&k| near_edges.data()[k] == 0.0);
             let observed = (looks.observed[i] - mixed[i]) * inv_sigma;
             weighed.observed[i] = if looks.is_inside[i] {
                 observed

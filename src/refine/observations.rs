@@ -29,6 +29,8 @@ pub struct Observation {
     image_slope: f32,
     /// The same of the prediction for unit albedo.
     light_slope: f32,
+    /// Whether its pixels are clear of depth edges, so that they show one albedo.
+    pub is_clear: bool,
 }
 
 impl Observation {
@@ -39,6 +41,7 @@ impl Observation {
         covered: 0.0,
         image_slope: 0.0,
         light_slope: 0.0,
+        is_clear: false,
     };
 
     fn of_lane(weighed: &Weighed, lane: usize, area_m2: f64) -> Observation {
@@ -49,6 +52,7 @@ impl Observation {
             covered: (area_m2 as f32 * weighed.pixels_per_m2[lane]).clamp(0.0, 1.0),
             image_slope: weighed.slopes.image[lane],
             light_slope: weighed.slopes.light[lane],
+            is_clear: weighed.is_clear[lane],
         }
     }
 
