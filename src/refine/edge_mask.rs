@@ -18,13 +18,13 @@ const DENIED_WITHIN_PX: usize = 4;
 /// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN). Where the
 /// model ends but the live depth goes on as far as the model does beside it, as round what few frames saw, there is no edge.
 ///
-/// Returns 0 for pixels that are clear of edges: those within two pixels of one may still show a little of both sides.
+/// Returns which pixels are clear of edges: those within two pixels of one may still show a little of both sides.
 pub fn mask_edges_and_occluders(
     optics: &Optics,
     linear: &mut Image<f32>,
     model_depth_m: &Image<f32>,
     live_depth_m: &Image<f32>,
-) -> Image<f32> {
+) -> Image<bool> {
     let is_before = |live: f32, z_m: f32| {
         let occluder_m = OCCLUDER_M.max(OCCLUDER_SIGMAS * optics.depth_noise.sigma_m(live));
         live > 0.0 && live < z_m - occluder_m
@@ -51,7 +51,7 @@ pub fn mask_edges_and_occluders(
             *value = f32::NAN;
         }
     }
-    of_pixels_around(&model_edges, greater)
+    of_pixels_around(&model_edges, greater).map(|&near| near == 0.0)
 }
 
 /// The nearest and the farthest of the pixels around each.
@@ -223,12 +223,11 @@ mod tests {
         let columns = (0..15 * 15).map(|pixel| if pixel % 15 < 7 { 0.6 } else { 0.8 });
         let model = Image::from_vec(15, 15, columns.collect());
         let mut linear = Image::filled(15, 15, 1.0);
-        let near = mask_edges_and_occluders(&optics, &mut linear, &model, &model);
+        let clear = mask_edges_and_occluders(&optics, &mut linear, &model, &model);
         let used: Vec<bool> = linear.row(7).iter().map(|value| !value.is_nan()).collect();
-        let is_clear: Vec<bool> = near.row(7).iter().map(|&near| near == 0.0).collect();
         assert_eq!([5, 6, 7, 8].map(|u| used[u]), [true, false, false, true]);
         assert_eq!(
-            [4, 5, 8, 9].map(|u| is_clear[u]),
+            [4, 5, 8, 9].map(|u| clear.row(7)[u]),
             [true, false, false, true]
         );
     }

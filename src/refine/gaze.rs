@@ -227,7 +227,7 @@ impl<'a> Gaze<'a> {
         );
         let (pixel, is_inside) = pixels(view.lens(), &place);
         let shown = &view.linear().value;
-        let (width, first) = (shown.width(), firsts(shown, &pixel));
+        let (width, first) = (shown.width(), firsts(shown.width(), &pixel));
         for i in 0..LANES {
             if is_seen[i] {
                 let (at, below) = (first[i], first[i] + width);
@@ -304,8 +304,8 @@ impl<'a> Gaze<'a> {
             None => [0.0; LANES],
         };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
-        let near_edges = self.view.near_edges();
-        let first = firsts(near_edges, &looks.pixel);
+        let clear = self.view.clear();
+        let first = firsts(clear.width(), &looks.pixel);
         for i in 0..LANES {
             let inv_sigma = 1.0 / looks.sigma[i];
             let [x, y, z] = [0, 1, 2].map(|axis| looks.point[axis][i]);
@@ -319,9 +319,9 @@ impl<'a> Gaze<'a> {
             for axis in 0..3 {
                 weighed.light[axis][i] = light[axis];
             }
-            let (at, below) = (first[i], first[i] + near_edges.width());
+            let (at, below) = (first[i], first[i] + clear.width());
             let corners = [at, at + 1, below, below + 1];
-            weighed.is_clear[i] = corners.iter().all(|&k| near_edges.data()[k] == 0.0);
+            weighed.is_clear[i] = corners.iter().all(|&k| clear.data()[k]);
             let observed = (looks.observed[i] - mixed[i]) * inv_sigma;
             weighed.observed[i] = if looks.is_inside[i] {
                 observed
@@ -453,10 +453,10 @@ fn pixels(lens: &Lens, points: &Lanes3) -> ([Lane; 2], [bool; LANES]) {
     (pixels, is_inside)
 }
 
-/// Index of the first of the four pixels round each place inside an image.
+/// Index of the first of the four pixels round each place inside an image of this width.
 #[inline(always)]
-fn firsts(image: &Image<f32>, [u, v]: &[Lane; 2]) -> [usize; LANES] {
-    let width = image.width() as i32;
+fn firsts(width: usize, [u, v]: &[Lane; 2]) -> [usize; LANES] {
+    let width = width as i32;
     let mut first = [0; LANES];
     for i in 0..LANES {
         first[i] = floor(v[i]) * width + floor(u[i]);
@@ -469,7 +469,7 @@ fn firsts(image: &Image<f32>, [u, v]: &[Lane; 2]) -> [usize; LANES] {
 #[inline(always)]
 fn keep_unhidden(lens: &Lens, depth_m: &Image<f32>, points: &Lanes3, kept: &mut [bool; LANES]) {
     let (pixel, is_inside) = pixels(lens, points);
-    let first = firsts(depth_m, &pixel);
+    let first = firsts(depth_m.width(), &pixel);
     let [last_u, last_v] = lens.last();
     let (width, depths) = (depth_m.width(), depth_m.data());
     for i in 0..LANES {

@@ -78,8 +78,8 @@ pub struct View {
     /// What scales the indirect light; `None` for none.
     pub white: Option<WhiteLevel>,
     linear: Arc<LinearImage>,
-    /// 0 where pixels are clear of depth edges.
-    near_edges: Arc<Image<f32>>,
+    /// Which pixels are clear of depth edges.
+    clear: Arc<Image<bool>>,
     /// Surface seen from the camera, metres.
     camera_depth_m: Arc<Image<f32>>,
     light_lens: Lens,
@@ -184,7 +184,7 @@ impl View {
             optics.calibration,
             flat,
         );
-        let near_edges = mask_edges_and_occluders(
+        let clear = mask_edges_and_occluders(
             optics,
             &mut linear.value,
             &camera_depth_m,
@@ -204,7 +204,7 @@ impl View {
             plausible_white: lit.plausible_white(),
             white: None,
             linear: Arc::new(linear),
-            near_edges: Arc::new(near_edges),
+            clear: Arc::new(clear),
             camera_depth_m: Arc::new(camera_depth_m),
             light_lens: Lens::new(&light_model),
             light_depth_m: Arc::new(light_depth_m),
@@ -256,9 +256,9 @@ impl View {
         &self.linear
     }
 
-    /// 0 where pixels are clear of depth edges, so that they show one albedo.
-    pub fn near_edges(&self) -> &Image<f32> {
-        &self.near_edges
+    /// Which pixels are clear of depth edges, so that they show one albedo.
+    pub fn clear(&self) -> &Image<bool> {
+        &self.clear
     }
 
     /// The light.
