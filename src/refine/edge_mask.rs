@@ -7,7 +7,8 @@ use depth_camera::Image;
 const OCCLUDER_M: f32 = 0.015;
 /// So is one by as many standard deviations of the depth, where these are more: from 1.6 m on with a Kinect I.
 const OCCLUDER_SIGMAS: f32 = 4.0;
-/// Depth differences beyond this between neighbouring pixels are an edge, metres; 83° at 0.6 m on Kinect II.
+/// Depth differences beyond this between neighbouring pixels are an edge, metres; 83° at 0.6 m on Kinect II, along rows and columns. With
+/// 20 mm what mixes there moved whole surfaces, 10 mm left out more (docs/experiments-refinement.md).
 const DEPTH_EDGE_M: f32 = 0.014;
 /// So are those beyond as many pixels' widths, where these are more: slants of 83° at any distance.
 const DEPTH_EDGE_PX: f32 = 8.5;
@@ -16,7 +17,8 @@ const DEPTH_EDGE_PX: f32 = 8.5;
 const DENIED_WITHIN_PX: usize = 4;
 
 /// Marks pixels at depth edges of the model, and where the live depth sees something in front of it, as unusable (NaN). Where the
-/// model ends but the live depth goes on as far as the model does beside it, as round what few frames saw, there is no edge.
+/// model ends but the live depth goes on as far as the model does beside it, as round what few frames saw, there is no edge, but for five
+/// pixels along the border of the image.
 ///
 /// Returns which pixels are clear of edges: those within two pixels of one may still show a little of both sides.
 pub fn mask_edges_and_occluders(
@@ -29,59 +31,51 @@ pub fn mask_edges_and_occluders(
         let occluder_m = OCCLUDER_M.max(OCCLUDER_SIGMAS * optics.depth_noise.sigma_m(live));
         live > 0.0 && live < z_m - occluder_m
     };
-    let mut seen_m = model_depth_m.clone();
-    for (seen, &live) in seen_m.data_mut().iter_mut().zip(live_depth_m.data()) {
-        if is_before(live, *seen) {
-            *seen = live;
+    // The model, with the live depth where that lies before it.
+    let mut foremost_m = model_depth_m.clone();
+    for (foremost, &live) in foremost_m.data_mut().iter_mut().zip(live_depth_m.data()) {
+        if is_before(live, *foremost) {
+            *foremost = live;
         }
     }
-    let around_model = Around::new(model_depth_m);
-    let model_edges = around_model.edges(model_depth_m, optics);
-    let mut seen_edges = Around::new(&seen_m).edges(&seen_m, optics);
+    let model_edges = depth_edges(model_depth_m, optics);
+    let mut foremost_edges = depth_edges(&foremost_m, optics);
     for _ in 0..DENIED_WITHIN_PX {
-        seen_edges = of_pixels_around(&seen_edges, greater);
+        foremost_edges = of_pixels_around(&foremost_edges, greater);
     }
-    let live = live_depth_m.data().iter().zip(around_model.nearest.data());
-    let edges = model_edges.data().iter().zip(seen_edges.data());
-    let pixels = linear.data_mut().iter_mut().zip(edges.zip(live));
-    for (value, ((&of_model, &of_seen), (&live, &nearest))) in pixels {
-        // Beyond the border both are NaN.
-        let is_smooth = of_model == 0.0 || of_seen == 0.0;
-        if !is_smooth || is_before(live, nearest) {
+    let nearest_m = of_pixels_around(model_depth_m, lesser);
+    let model_m = model_depth_m.data().iter().zip(nearest_m.data());
+    let edges = model_edges.data().iter().zip(foremost_edges.data());
+    let depths = live_depth_m.data().iter().zip(model_m);
+    let pixels = linear.data_mut().iter_mut().zip(edges.zip(depths));
+    for (value, ((&of_model, &of_foremost), (&live, (&centre, &nearest)))) in pixels {
+        let is_usable = match of_model == 0.0 {
+            true => !is_before(live, centre),
+            // Beyond the model's end it shows what the model does beside it. On the border of the image this is NaN.
+            false => of_foremost == 0.0 && !is_before(live, nearest),
+        };
+        if !is_usable {
             *value = f32::NAN;
         }
     }
     of_pixels_around(&model_edges, greater).map(|&near| near == 0.0)
 }
 
-/// The nearest and the farthest of the pixels around each.
-struct Around {
-    nearest: Image<f32>,
-    farthest: Image<f32>,
-}
-
-impl Around {
-    fn new(depth_m: &Image<f32>) -> Self {
-        Around {
-            nearest: of_pixels_around(depth_m, lesser),
-            farthest: of_pixels_around(depth_m, greater),
-        }
+/// 1 at the depth edges of an image and on its border, 0 elsewhere.
+fn depth_edges(depth_m: &Image<f32>, optics: &Optics) -> Image<f32> {
+    let edge_share = DEPTH_EDGE_PX / optics.rays.camera().intrinsics().fx as f32;
+    let nearest_m = of_pixels_around(depth_m, lesser);
+    let farthest_m = of_pixels_around(depth_m, greater);
+    let mut edges = depth_m.clone();
+    let around = nearest_m.data().iter().zip(farthest_m.data());
+    for (edge, (nearest, farthest)) in edges.data_mut().iter_mut().zip(around) {
+        let centre = *edge;
+        let edge_m = DEPTH_EDGE_M.max(edge_share * centre);
+        // Not so where one of them is infinite, or beyond the border.
+        let is_smooth = centre - nearest < edge_m && farthest - centre < edge_m;
+        *edge = f32::from(u8::from(!is_smooth));
     }
-
-    /// 1 at the depth edges, 0 elsewhere.
-    fn edges(&self, depth_m: &Image<f32>, optics: &Optics) -> Image<f32> {
-        let edge_share = DEPTH_EDGE_PX / optics.rays.camera().intrinsics().fx as f32;
-        let mut edges = depth_m.clone();
-        let around = self.nearest.data().iter().zip(self.farthest.data());
-        for (edge, (nearest, farthest)) in edges.data_mut().iter_mut().zip(around) {
-            let centre = *edge;
-            let edge_m = DEPTH_EDGE_M.max(edge_share * centre);
-            // Not so where one of them is infinite, or beyond the border.
-            let is_smooth = centre - nearest < edge_m && farthest - centre < edge_m;
-            *edge = f32::from(u8::from(!is_smooth));
-        }
-        edges
-    }
+    edges
 }
 
 fn lesser(a: f32, b: f32) -> f32 {
@@ -92,7 +86,7 @@ fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// What `of_two` takes of each pixel and the eight round it, which are numbers; NaN on the border.
+/// What `of_two` takes of each pixel and the eight round it; NaN on the border, and beside it where it is on the border of the image already.
 fn of_pixels_around(image: &Image<f32>, of_two: impl Fn(f32, f32) -> f32) -> Image<f32> {
     let (width, height) = (image.width(), image.height());
     let mut of_rows = Image::filled(width, height, f32::NAN);
@@ -182,6 +176,8 @@ mod tests {
             assert!(is_used(z_m, 8.1, 0.0) && !is_used(z_m, 9.5, 0.0), "{z_m}");
         }
         assert!(is_used(0.6, 9.5, 0.0));
+        // The slant itself lends an occluder nothing.
+        assert!(is_used(0.6, 8.0, 0.014) && !is_used(0.6, 8.0, 0.016));
         // Four standard deviations of a Kinect I are 56 mm at 3 m.
         assert!(is_used(3.0, 0.0, 0.05) && !is_used(3.0, 0.0, 0.06));
         assert!(is_used(0.6, 0.0, 0.014) && !is_used(0.6, 0.0, 0.016));
@@ -205,10 +201,15 @@ mod tests {
         let used_beside = |behind: f32| {
             let mut model = live;
             model[15..].fill(behind);
-            used(&model, &live)[1..15].iter().all(|&is_used| is_used)
+            used(&model, &live)[1..16].iter().all(|&is_used| is_used)
         };
         // Through a hole one sees nothing, or what is behind.
         assert!(used_beside(f32::INFINITY) && used_beside(0.8));
+        // Not where nothing is measured.
+        let (mut model, mut live_in_part) = (live, live);
+        model[15..].fill(f32::INFINITY);
+        live_in_part[15..].fill(0.0);
+        assert!(!used(&model, &live_in_part)[14]);
         // A hand before the model hides it, also where the model has an edge.
         let hand = [0.5; 30];
         let mut model = live;

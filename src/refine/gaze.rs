@@ -17,7 +17,8 @@ use surfels::{by_lane, dot, dots};
 
 /// A point this far behind the surface of a depth buffer is hidden, metres; covers the tracker's error and the buffer's.
 const HIDDEN_BEYOND_M: f32 = 0.004;
-/// Cosines of incidence below this are grazing, at the camera and at the light: 80°.
+/// Cosines of incidence below this are grazing, at the camera and at the light: 80°. With 84° surfaces come out the same, and real ones are
+/// least Lambertian there (docs/experiments-refinement.md).
 const MIN_COSINE: f32 = 0.17;
 /// Pixels from a depth buffer's rim within which nothing is known to hide a point or not.
 const RIM_PX: f32 = 2.0;
@@ -304,7 +305,7 @@ impl<'a> Gaze<'a> {
             None => [0.0; LANES],
         };
         let pixels_per_sr = self.view.pixels_per_sr() as f32;
-        let clear = self.view.clear();
+        let clear = self.view.clear_of_edges();
         let first = firsts(clear.width(), &looks.pixel);
         for i in 0..LANES {
             let inv_sigma = 1.0 / looks.sigma[i];

@@ -20,7 +20,7 @@ const BESIDE: f64 = 0.5 * LEAST;
 const NEAREST_SEEN_M: f64 = 0.3;
 /// Nothing is looked at nearer to the lamp's plane, metres; arbitrary, since [`MAX_TANGENT`] bounds it before.
 const NEAREST_LIT_M: f64 = 0.001;
-/// Largest tangent off the axis, 79°: more is grazing for whatever faces the camera.
+/// Largest tangent off the axis, 79°: little more is not grazing for whatever faces the camera.
 const MAX_TANGENT: f64 = 5.0;
 
 /// The lamp's "camera": `centre` is the object's in the light's frame, `radius_m` its reach, `lamp` the light's place in the frame of

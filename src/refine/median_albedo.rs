@@ -1,4 +1,5 @@
-//! What albedo a site has by itself, whatever group it is in: the median of the views that see it, and how much that says.
+//! What albedo a site has by itself, whatever group it is in: the median of the views that see it clear of depth edges, and how much
+//! that says.
 
 use super::MAX_VIEWS;
 use super::observations::{Observation, Observations};
@@ -14,7 +15,7 @@ const FULLY_TOLD: f64 = 14.0;
 /// elsewhere is not in all of them. Unlike the robust ratio it does not depend on the group that the site is in.
 #[derive(Clone, Copy, Debug)]
 pub struct Median {
-    /// Its logarithm; NaN where no view tells.
+    /// Its logarithm; NaN where no view tells, as beside depth edges.
     pub log: f64,
     /// Views that tell as much, `(Σ s²)² / Σ s⁴`.
     n_views: f64,
@@ -51,8 +52,11 @@ impl Median {
     }
 }
 
-/// The median of each site by what is clear of depth edges: pixels that mix make a rim of another material. Where nothing is, as on a
-/// wire, all counts.
+/// If fewer of the sites that views show are seen clear of depth edges, as of a wire alone, the others count as well; arbitrary.
+const MIN_CLEAR_SHARE: f64 = 0.25;
+
+/// The median of each site by what is clear of depth edges: pixels that mix make a rim of another material. Sites that are seen beside
+/// edges alone are not told, and labelled as those round them, unless [most](MIN_CLEAR_SHARE) of the surface is such.
 pub fn medians(sites: &Sites, observations: &Observations) -> Vec<Median> {
     let of_sites = |counts: fn(&Observation) -> bool| -> Vec<Median> {
         let indices = (0..sites.points.len()).into_par_iter();
@@ -70,7 +74,9 @@ pub fn medians(sites: &Sites, observations: &Observations) -> Vec<Median> {
         indices.map(|site| Median::of(pairs(site))).collect()
     };
     let clear = of_sites(|seen| seen.is_clear);
-    match clear.iter().all(|median| median.log.is_nan()) {
+    let n_told = clear.iter().filter(|median| !median.log.is_nan()).count();
+    let shown = (0..clear.len()).filter(|&site| !observations.of(site).is_empty());
+    match (n_told as f64) < MIN_CLEAR_SHARE * shown.count() as f64 {
         true => of_sites(|_| true),
         false => clear,
     }
@@ -84,7 +90,7 @@ mod tests {
     use crate::geometry::TriMesh;
 
     #[test]
-    fn sites_are_told_by_what_is_clear_of_edges_and_by_all_where_nothing_is() {
+    fn sites_are_told_by_what_is_clear_of_edges_or_by_all_of_a_narrow_strip() {
         let (rays, calibration) = (rays(), calibration());
         let optics = optics(&rays, &calibration);
         let flat = RippledPlane { amplitude_m: 0.0 };

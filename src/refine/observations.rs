@@ -29,7 +29,7 @@ pub struct Observation {
     image_slope: f32,
     /// The same of the prediction for unit albedo.
     light_slope: f32,
-    /// Whether its pixels are clear of depth edges, so that they show one albedo.
+    /// Whether its pixels are clear of depth edges, so that no other surface is mixed in.
     pub is_clear: bool,
 }
 

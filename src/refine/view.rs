@@ -79,7 +79,7 @@ pub struct View {
     pub white: Option<WhiteLevel>,
     linear: Arc<LinearImage>,
     /// Which pixels are clear of depth edges.
-    clear: Arc<Image<bool>>,
+    clear_of_edges: Arc<Image<bool>>,
     /// Surface seen from the camera, metres.
     camera_depth_m: Arc<Image<f32>>,
     light_lens: Lens,
@@ -184,7 +184,7 @@ impl View {
             optics.calibration,
             flat,
         );
-        let clear = mask_edges_and_occluders(
+        let clear_of_edges = mask_edges_and_occluders(
             optics,
             &mut linear.value,
             &camera_depth_m,
@@ -204,7 +204,7 @@ impl View {
             plausible_white: lit.plausible_white(),
             white: None,
             linear: Arc::new(linear),
-            clear: Arc::new(clear),
+            clear_of_edges: Arc::new(clear_of_edges),
             camera_depth_m: Arc::new(camera_depth_m),
             light_lens: Lens::new(&light_model),
             light_depth_m: Arc::new(light_depth_m),
@@ -256,9 +256,9 @@ impl View {
         &self.linear
     }
 
-    /// Which pixels are clear of depth edges, so that they show one albedo.
-    pub fn clear(&self) -> &Image<bool> {
-        &self.clear
+    /// Which pixels are clear of depth edges, so that no other surface is mixed in.
+    pub fn clear_of_edges(&self) -> &Image<bool> {
+        &self.clear_of_edges
     }
 
     /// The light.

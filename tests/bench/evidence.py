@@ -5,7 +5,7 @@ images see them, against the truth.
     evidence.py SESSION SCORE.py REFINED.ply        (needs what SCORE.py needs)
 
 This is scoring: it alone reads the session's poses and surface. The mesh is laid on the truth as SCORE.py does. Of each part:
-the mean of what it is sorted by, RMS of the distance, RMS of detail (the signed distance less its mean over 8 mm, but for the largest
+the mean of what it is sorted by if it is, RMS of the distance, RMS of detail (the signed distance less its mean over 8 mm, but for the largest
 hundredth) and the mean angle to the true normals, of the vertices that SCORE.py would score: within 10 mm of a truth that some frame saw,
 facing as it does, not at its border.
 """
@@ -18,7 +18,7 @@ from relief_ply import positions, read_mesh
 from scipy.spatial import cKDTree
 
 N_PARTS = 5
-# Of shading images, each part from one on to before the next.
+# Shading images that see a vertex: each part goes from one of these to below the next.
 VIEWS_FROM = [0, 1, 2, 3, 4, 7, 256]
 NEAR_M = 0.01
 OFF_RIM_M = 0.006
@@ -69,6 +69,8 @@ def main(session, score_path, path):
     print("views, from | share of vertices | of squared detail | error RMS mm | detail RMS mm | normals mean °")
     for first, beyond in zip(VIEWS_FROM, VIEWS_FROM[1:]):
         part = (vertices["views"] >= first) & (vertices["views"] < beyond)
+        if not part.any():
+            continue
         of_detail = np.nansum(detail[part] ** 2) / np.nansum(detail**2)
         print(
             f"{first} | {part.mean():.3f} | {of_detail:.3f} | {rms(distances[part]):.3f} | {rms(detail[part]):.3f}"

@@ -132,9 +132,14 @@ fn what_lies_behind_faces_away_or_grazes_is_not_seen() {
     assert!(!gaze.sees(&moved(0.006), &normals)[middle], "is hidden");
     let turned = normals.map(|axis| axis.map(|x| -x));
     assert_eq!(gaze.sees(&points, &turned), [false; LANES]);
-    let slanting = |cosine: f32| [[1.0; LANES], [0.0; LANES], [-cosine; LANES]];
-    assert!(gaze.sees(&points, &slanting(0.21))[middle]);
-    assert!(!gaze.sees(&points, &slanting(0.15))[middle], "grazes");
+    let slanting = |x: f32, cosine: f32| [[x; LANES], [0.0; LANES], [-cosine; LANES]];
+    let is_seen = |x: f32, cosine: f32| gaze.sees(&points, &slanting(x, cosine))[middle];
+    assert!(is_seen(1.0, 0.21) && !is_seen(1.0, 0.15), "grazes");
+    // The light is aside.
+    assert!(
+        is_seen(-1.0, 0.3) && !is_seen(-1.0, 0.21),
+        "grazes the light's way"
+    );
 }
 
 #[test]
