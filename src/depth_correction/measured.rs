@@ -45,7 +45,7 @@ impl DepthCorrection {
     pub fn measure(&self, fusion: &Fusion, goes_on: &GoesOn) -> MeasuredDepth {
         let settled = self.settled(fusion, goes_on);
         let shown = settled.revised.as_ref().and_then(Revised::range_error);
-        let range_error = together(self.range.as_ref(), shown, RangeError::plus);
+        let range_error = together(self.range.as_ref(), shown.as_ref(), RangeError::plus);
         let revised = settled.revised.as_ref();
         MeasuredDepth {
             wrong_rays: revised.and_then(Revised::wrong_rays),

@@ -1,12 +1,14 @@
 //! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
 //! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 //!
-//! A Kinect II suffers from multipath, and from an error by range alone, and a decoder may have computed its depth by the rays of
-//! the wrong rows; a Kinect I has a slow error of its depth and reads its rows one after the other. Only the frames of a whole scan
+//! A Kinect II suffers from multipath, and from an error by range alone, of which a constant is told first, and a decoder may have
+//! computed its depth by the rays of the wrong rows; a Kinect I has a slow error of its depth and reads its rows one after the other. Only the frames of a whole scan
 //! tell all but the first ([`RangeError`], [`DepthField`](crate::fusion::DepthField),
 //! [`RollingShutter`](crate::fusion::RollingShutter)). Pure: what is predicted of the frames is kept here as long as fusion holds them.
 
+mod agreement;
 mod carry;
+mod gross_error;
 mod measured;
 mod predictions;
 mod ray_order;
@@ -167,8 +169,7 @@ impl DepthCorrection {
     ) -> Image<f32> {
         let nearest = self.predictions.near(time_secs);
         let predicted = self.multipath.as_ref().zip(nearest);
-        let rays = known.rays.as_ref().map(|(_, rays)| rays);
-        let righted = |depth_m: &Image<f32>| rays.map(|rays| rays.righted(depth_m));
+        let righted = |depth_m: &Image<f32>| known.gross.taken_off(depth_m, &self.rays);
         let depth = match predicted {
             Some((multipath, nearest)) => {
                 let here = righted(depth_m);

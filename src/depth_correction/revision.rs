@@ -2,6 +2,7 @@
 
 use super::DepthCorrection;
 use super::carry::Carry;
+use super::gross_error::{GrossError, Views};
 use super::ray_order::{RayOrder, WrongRays};
 use crate::{
     fusion::{
@@ -26,24 +27,33 @@ pub struct Revised {
 
 impl Revised {
     /// The error by range alone that the scan showed, beside what is known of the device.
-    pub fn range_error(&self) -> Option<&RangeError> {
-        self.known.range.as_ref()
+    pub fn range_error(&self) -> Option<RangeError> {
+        let constant = self.known.gross.constant();
+        together(
+            constant.as_ref(),
+            self.known.range.as_ref(),
+            RangeError::plus,
+        )
+    }
+
+    /// How much of that is the same at all ranges, metres.
+    pub fn constant_m(&self) -> f64 {
+        self.known.gross.constant_m
     }
 
     /// How depth was computed, where that was not by the rays of its pixels, and it was put right.
     pub fn wrong_rays(&self) -> Option<WrongRays> {
-        self.known.rays.as_ref().map(|(wrong, _)| *wrong)
+        self.known.gross.rays.as_ref().map(|(wrong, _)| *wrong)
     }
 }
 
 /// What is taken off the depth of a scan, beside what was while it went on.
 #[derive(Clone, Default)]
 pub(super) struct Known {
-    /// `None` is rays as they should be.
-    pub(super) rays: Option<(WrongRays, RayOrder)>,
+    pub(super) gross: GrossError,
     /// `None` is no multipath.
     pub(super) white: Option<WhiteLevel>,
-    /// `None` is no error by range alone.
+    /// `None` is no error by range alone but for a constant.
     pub(super) range: Option<RangeError>,
     /// `None` is no slow error.
     pub(super) field: Option<DepthField>,
@@ -99,11 +109,12 @@ impl DepthCorrection {
         let plausible = asks_frames.then(|| self.plausible_white(fusion)).flatten();
         let start = plausible.or(self.recalibrated).or(self.live);
         let mut search = start.map(WhiteSearch::from);
-        let mut rays = may_revise.then(|| self.ray_order(fusion)).flatten();
-        // What is bent is put right before anything else is asked: a bent model tells nothing.
-        let n_bent = usize::from(rays.is_some());
-        let mut n_passes = 0;
-        for round in 0..self.fusion.max_revisions + n_bent {
+        let asked = may_revise.then(|| self.gross_error(fusion, has_multipath));
+        let mut gross = asked.flatten().unwrap_or_default();
+        // What is wrong by centimetres is put right before anything else is asked: a bent model tells nothing.
+        let mut n_gross = usize::from(!gross.is_none());
+        let (mut round, mut n_passes) = (0, 0);
+        while round < self.fusion.max_revisions + n_gross {
             let work = Work::CorrectDepth(round + 1);
             if !goes_on(work.at(0, frames.len())) {
                 break;
@@ -112,25 +123,35 @@ impl DepthCorrection {
             let mut known = revised.as_ref().map_or_else(
                 || Known {
                     white: start,
-                    rays: rays.clone(),
+                    gross: gross.clone(),
                     ..Known::default()
                 },
                 |revised| revised.known.clone(),
             );
-            let is_bent = revised.is_none() && known.rays.is_some();
-            let mut has_more = is_bent || has_multipath && round < MODEL_ROUNDS + n_bent;
-            let asks_sensor = !is_bent && round < SENSOR_ROUNDS + n_bent;
+            let is_gross = revised.is_none() && !known.gross.is_none();
+            let mut has_more = is_gross || has_multipath && round < MODEL_ROUNDS + n_gross;
+            let asks_sensor = !is_gross && round < SENSOR_ROUNDS + n_gross;
             has_more |= asks_sensor && self.add_what_frames_show(current, &mut known);
             // A scan that shows none at first shows none later, and asking takes a second.
-            let may_show_range = round == n_bent || known.range.is_some();
+            let may_show_range = round == n_gross || known.range.is_some();
             let asks_range = asks_sensor && self.fusion.range_error && may_show_range;
-            let asks_white = round > n_bent && revised.is_some() && !self.is_measured;
+            let asks_white = round > n_gross && revised.is_some() && !self.is_measured;
             let is_asked = has_multipath && (asks_range || asks_white);
             let compared = is_asked.then(|| self.compared(current, known.white));
             let mut views = compared.flatten();
             let known_range = known.range.clone();
             let has_range = asks_range && add_what_views_show(&mut views, &mut known);
             has_more |= has_range;
+            if has_range && known.gross.constant().is_some() {
+                // A wiggle, of which its ranges show a part, had passed for a constant.
+                tracing::info!(
+                    "a constant of the range is not told beside an error by range, and is left"
+                );
+                gross = gross.without_constant();
+                n_gross = round + usize::from(!gross.is_none());
+                revised = None;
+                continue;
+            }
             if asks_white {
                 told = views.and_then(|views| self.evidence(&views, known.white));
                 if let Some((evidence, search)) = told.zip(search.as_mut()) {
@@ -152,13 +173,14 @@ impl DepthCorrection {
             match fuse(known).or_else(|| fuse(without_range?)) {
                 Some(again) => (revised, told) = (Some(again), None),
                 // Put right it loses its track, and is taken as it is.
-                None if is_bent => rays = None,
+                None if is_gross => gross = GrossError::default(),
                 None => {
                     // With an error of range taken off they tell of a scan that there is not.
                     told = told.filter(|_| !has_range);
                     break;
                 }
             }
+            round += 1;
         }
         if let (true, Some(found)) = (is_long, &revised) {
             let (known, work) = (found.known.clone(), Work::CorrectDepth(n_passes + 1));
@@ -195,32 +217,33 @@ impl DepthCorrection {
         is_as_close
     }
 
-    /// How the depth of a Kinect II's scan is to be put right, where it was not computed as it was taken to be.
-    fn ray_order(&self, fusion: &Fusion) -> Option<(WrongRays, RayOrder)> {
+    /// What the depth of a Kinect II's scan gets wrong by centimetres; a constant only where a wiggle, which passes for one, can be told too.
+    fn gross_error(&self, fusion: &Fusion, tells_wiggle: bool) -> Option<GrossError> {
         if self.info.sensor != Sensor::Kinect2 {
             return None;
         }
-        let (wrong, other) = match &self.rays_upside_down {
+        let other_rays = match &self.rays_upside_down {
             Some(order) => (WrongRays::PutRightInVain, order.undone()),
             None => (WrongRays::UpsideDown, RayOrder::upside_down(&self.rays)),
         };
-        other
-            .is_told_by(fusion.keyframes(), fusion.is_at_given_poses())
-            .then_some((wrong, other))
+        let (frames, are_given) = (fusion.keyframes(), fusion.is_at_given_poses());
+        let views = Views::of(frames, are_given, &self.rays);
+        Some(views.gross_error(other_rays, tells_wiggle && self.fusion.range_error))
     }
 
     /// Where frames lie before any of them is fused again: put right, one that was tracked lies otherwise, and the first stays where it was.
-    fn start_of(frames: &[Keyframe], known: &Known, is_given: bool) -> Vec<Pose> {
+    fn start_of(&self, frames: &[Keyframe], known: &Known, is_given: bool) -> Vec<Pose> {
         let tracked = |frame: &Keyframe| frame.world_from_camera;
-        let Some((_, rays)) = known.rays.as_ref() else {
+        if known.gross.is_none() {
             return frames.iter().map(tracked).collect();
-        };
+        }
         if is_given {
             // Polished they lie as bent depth did.
             let given = |frame: &Keyframe| frame.given.unwrap_or(frame.world_from_camera);
             return frames.iter().map(given).collect();
         }
-        let righted = |frame: &Keyframe| tracked(frame) * rays.motion_of(&frame.depth_m());
+        let righted =
+            |frame: &Keyframe| tracked(frame) * known.gross.motion_of(&frame.depth_m(), &self.rays);
         let mut poses: Vec<Pose> = frames.par_iter().map(righted).collect();
         if let Some((first, frame)) = poses.first().zip(frames.first()) {
             let back = tracked(frame) * first.inverse();
@@ -284,26 +307,27 @@ impl DepthCorrection {
         };
         let here: Vec<Pose> = match revised {
             Some(revised) => frames.iter().map(|frame| moved(revised, frame)).collect(),
-            None => Self::start_of(frames, &known, is_given),
+            None => self.start_of(frames, &known, is_given),
         };
         let path = frames.iter().zip(here);
         let path: Vec<Waypoint> = path
             .map(|(frame, here)| Waypoint::of(frame, here))
             .collect();
         let velocities = velocities(&path);
-        let slid = known.shutter.is_some() || known.range.is_some() || known.rays.is_some();
+        let was_wrong = revised.is_none() && !known.gross.is_none();
+        let slid = was_wrong || known.shutter.is_some() || known.range.is_some();
         let reach = (slid && !is_given).then_some(TRACKED_ANEW_REACH);
         let corrected = |index: usize| {
             let (frame, before) = (frames.get(index)?, &path[index].world_from_camera);
             let seen = frame.depth_m();
-            let depth = match (revised, &known.rays) {
-                // On a bent model multipath is predicted no better than it was.
-                (None, Some((_, rays))) => rays.righted(&seen),
-                _ => {
-                    let seen = (&seen, self.corrected_by(frame.time_secs));
-                    self.anew(seen, frame.time_secs, before, model, &known)
-                }
-            };
+            // On a bent model multipath is predicted no better than it was.
+            let righted = revised
+                .is_none()
+                .then(|| known.gross.taken_off(&seen, &self.rays));
+            let depth = righted.flatten().unwrap_or_else(|| {
+                let seen = (&seen, self.corrected_by(frame.time_secs));
+                self.anew(seen, frame.time_secs, before, model, &known)
+            });
             Some(match &known.shutter {
                 Some(shutter) => shutter.corrected(&depth, &velocities[index], &self.rays, &noise),
                 None => depth,
@@ -348,7 +372,8 @@ impl DepthCorrection {
         }
         tracing::info!(
             white_level = known.white.map(|white| white.0),
-            rays_righted = known.rays.is_some(),
+            rays_righted = known.gross.rays.is_some(),
+            constant_mm = known.gross.constant().map(|error| 1e3 * error.largest_m()),
             range_error_mm = known.range.as_ref().map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),

@@ -324,6 +324,55 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
 }
 
 #[test]
+fn a_constant_of_the_range_is_told_by_the_views_of_a_scan_and_taken_off() {
+    const CONSTANT_M: f64 = 0.02;
+    let frames = rendered(16);
+    let truths: Vec<Image<f32>> = {
+        let camera = SimulatedCamera::kinect2_plaque(frames.len(), 7);
+        (0..frames.len()).map(|k| camera.true_depth(k)).collect()
+    };
+    let longer = RangeError::through(vec![[0.5, -CONSTANT_M], [4.5, -CONSTANT_M]]);
+    let deliver = |frame: &Frame| {
+        let rays = RayGrid::new(CameraModel::new(
+            SimulatedCamera::kinect2_plaque(1, 7).info().intrinsics,
+        ));
+        let depth = longer.corrected(frame.depth.as_ref().expect("a Kinect II"), &rays);
+        with_depth(frame, depth)
+    };
+    let track =
+        |fusion: &mut Fusion, depth: &Image<f32>, time: f64, _: &Pose| fusion.fuse(depth, time);
+    let (mut correction, fusion) = scanned_as(&frames, &calibration(1.0), deliver, track);
+    let revised = correction.revise(&fusion, &|_| true).expect("it is wrong");
+    assert_eq!(revised.wrong_rays(), None);
+    let told = revised.range_error().expect("a constant");
+    assert!(
+        (told.at_m(0.8) - CONSTANT_M).abs() < 0.007,
+        "{} m",
+        told.at_m(0.8)
+    );
+    // How far depth lies from what was seen, in the mean.
+    let off_m = |fusion: &Fusion| {
+        let pairs = fusion.keyframes().iter().zip(&truths);
+        let mut off = Vec::new();
+        for (frame, truth) in pairs {
+            let seen = frame.depth_m();
+            let pixels = seen.data().iter().zip(truth.data());
+            let both = pixels.filter(|(a, b)| **a > 0.0 && **b > 0.0);
+            off.extend(both.map(|(a, b)| f64::from(a - b)));
+        }
+        off.iter().sum::<f64>() / off.len() as f64
+    };
+    let (before, after) = (off_m(&fusion), off_m(&revised.fusion));
+    assert!(
+        before > 0.015 && after.abs() < 0.007,
+        "{before} m, {after} m"
+    );
+    correction.fusion.range_error = false;
+    let not_asked = correction.revise(&fusion, &|_| true);
+    assert_eq!(not_asked.and_then(|revised| revised.range_error()), None);
+}
+
+#[test]
 fn a_model_from_which_its_frames_lie_farther_does_not_take_the_place_of_one() {
     let (correction, good) = scanned(Fusion::fuse_at);
     let (_, bad) = scanned(|fusion, depth, time, pose| {

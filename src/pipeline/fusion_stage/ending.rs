@@ -170,6 +170,7 @@ impl FusionStage {
         if let Some(error) = revised.range_error() {
             tracing::warn!(
                 largest_mm = 1e3 * error.largest_m(),
+                constant_mm = 1e3 * revised.constant_m(),
                 from_m = error.from_m(),
                 to_m = error.to_m(),
                 "depth is off by its range: `relief calibrate depth` with a recording of this scan lets tracking know"
