@@ -139,7 +139,7 @@ impl View {
         patches.map(|patch| patch.centre.coords.norm())
     }
 
-    /// This view moved to where its patches lie best on those of another one in the same cells.
+    /// This view moved to where its patches lie best on those of another one, of the same pose, in the same cells.
     pub(super) fn brought_onto(self, other: &View) -> Self {
         View {
             world_from_camera: self.world_from_camera * self.motion_onto(other),

@@ -16,7 +16,10 @@ use crate::{
 };
 use depth_camera::Image;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, btree_map::Entry};
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    ops::RangeInclusive,
+};
 
 /// What is taken off the depth of every frame alike.
 #[derive(Clone, Debug, Default)]
@@ -29,26 +32,27 @@ pub(super) struct GrossError {
 
 /// Most views that are compared, each with each.
 const MAX_VIEWS: usize = 40;
-/// Rays are others if views then disagree by no more than this share: 0.36 to 0.89 where they were, 1.03 to 2.8 where they were not.
+/// Rays are others if views then disagree by no more than this share: 0.36 to 0.89 where they were, 0.97 to 2.8 where they were not.
 const MAX_SHARE_OF_RAYS: f64 = 0.93;
 /// And, a constant taken off by either, by no more than this share: 0.90 and 0.95 where they were, 0.99 to 1.08 where they were not.
 const MAX_SHARE_BESIDE_CONSTANT: f64 = 0.97;
 /// A constant is one if views then disagree by no more than this share: 0.74 to 0.86 where it was 20 mm.
 const MAX_SHARE_OF_CONSTANT: f64 = 0.97;
-/// A smaller one is not told from the multipath that is left before there is a model, metres: by up to 7 mm too much is told.
-const MIN_CONSTANT_M: f64 = 0.008;
+/// What is believed of one, metres: a smaller one is not told from the multipath that is left before there is a model (by up to 6 mm too
+/// much is told), and a larger one no device has.
+const BELIEVED_M: RangeInclusive<f64> = 0.008..=0.04;
 /// One that seems to be so small need not be looked for more closely, metres.
 const PLAINLY_NONE_M: f64 = 0.004;
 /// A constant is looked for in steps of so much, metres,
 const STEP_M: f64 = 0.005;
 /// so many of them to either side of the best one so far, as long as there is a better one,
 const REACHES: [i32; 3] = [4, 2, 1];
-/// and no farther: those that lie beyond, metres in all, are not believed.
+/// and no farther.
 const MAX_STEPS: i32 = 8;
 /// Where nine tenths of the patches lie within less, a wiggle, which goes to and fro in 0.3 m, passes for a constant, metres.
 const MIN_SPREAD_M: f64 = 0.4;
-/// The ranges that a Kinect II measures, metres, at which a constant is stated.
-const RANGES_M: [f64; 2] = [0.5, 4.5];
+/// All ranges, metres.
+const RANGES_M: [f64; 2] = [0.0, 20.0];
 
 /// Views of a scan that are compared.
 pub(super) struct Views<'a> {
@@ -139,9 +143,13 @@ impl<'a> Views<'a> {
     /// well as they are, or too few see one surface.
     pub(super) fn gross_error(&self, rays: (WrongRays, RayOrder), asks: bool) -> GrossError {
         let order = rays.1.shows().then_some(&rays.1);
+        if order.is_none() && !asks {
+            return GrossError::default();
+        }
+        // Rays are told beside a constant even where it is not asked for: it passes for others.
         let (as_is, other) = rayon::join(
-            || self.told(None, asks),
-            || order.and_then(|order| self.told(Some(order), asks)),
+            || self.told(None),
+            || order.and_then(|order| self.told(Some(order))),
         );
         let Some(as_is) = as_is else {
             return GrossError::default();
@@ -151,38 +159,52 @@ impl<'a> Views<'a> {
             with_other_rays = ?other,
             "constant of the range, and rays: how far views of one surface lie apart, as a share of their range"
         );
-        let other = other.filter(|other| {
-            other.apart <= MAX_SHARE_OF_RAYS * as_is.apart_before
+        let spread_m = self.spread_m().unwrap_or(0.0);
+        let believed_m = |told: &Told, order| {
+            let is_told = asks
+                && spread_m >= MIN_SPREAD_M
+                && BELIEVED_M.contains(&told.constant_m.abs())
+                && told.apart <= MAX_SHARE_OF_CONSTANT * told.apart_before
+                && self.may_be_off(order, told.constant_m);
+            if is_told { told.constant_m } else { 0.0 }
+        };
+        let other_m = other.map_or(0.0, |other| believed_m(&other, order));
+        let are_others = other.is_some_and(|other| {
+            let left = if other_m == 0.0 {
+                other.apart_before
+            } else {
+                other.apart
+            };
+            left <= MAX_SHARE_OF_RAYS * as_is.apart_before
                 && other.apart <= MAX_SHARE_BESIDE_CONSTANT * as_is.apart
-                && self.agree_settled(order, 0.0)
+                && self.may_be_off(order, other_m)
         });
-        let order = order.filter(|_| other.is_some());
-        let told = other.unwrap_or(as_is);
-        let is_told = (MIN_CONSTANT_M..=f64::from(MAX_STEPS) * STEP_M)
-            .contains(&told.constant_m.abs())
-            && told.apart <= MAX_SHARE_OF_CONSTANT * told.apart_before
-            && self.agree_settled(order, told.constant_m);
-        GrossError {
-            rays: order.is_some().then_some(rays),
-            constant_m: if is_told { told.constant_m } else { 0.0 },
+        match are_others {
+            true => GrossError {
+                rays: Some(rays),
+                constant_m: other_m,
+            },
+            false => GrossError {
+                rays: None,
+                constant_m: believed_m(&as_is, None),
+            },
         }
     }
 
-    /// The constant with which they agree best, their rays in an order, none where it does not ask for one; `None` if too few see one
-    /// surface.
-    fn told(&self, order: Option<&RayOrder>, asks: bool) -> Option<Told> {
+    /// The constant with which they agree best, their rays in an order; `None` if too few see one surface.
+    fn told(&self, order: Option<&RayOrder>) -> Option<Told> {
         let nothing = self.apart(order, 0.0)?;
         let mut apart = BTreeMap::from([(0, nothing)]);
         let (mut best, mut constant_m) = (0, 0.0);
-        let asks = asks && self.spread_m()? >= MIN_SPREAD_M;
-        for reach in REACHES.into_iter().filter(|_| asks) {
+        for reach in REACHES {
             loop {
                 let before = best;
                 for at in [before - reach, before + reach] {
                     let here = match apart.entry(at) {
                         Entry::Occupied(known) => *known.get(),
                         Entry::Vacant(asked) => {
-                            *asked.insert(self.apart(order, f64::from(at) * STEP_M)?)
+                            let here = self.apart(order, f64::from(at) * STEP_M);
+                            *asked.insert(here.unwrap_or(f64::INFINITY))
                         }
                     };
                     if here < apart[&best] {
@@ -194,7 +216,7 @@ impl<'a> Views<'a> {
                 }
             }
             constant_m = STEP_M * (f64::from(best) + lowest_beside(&apart, best, reach));
-            if constant_m.abs() < PLAINLY_NONE_M {
+            if constant_m.abs() < PLAINLY_NONE_M || best.abs() > MAX_STEPS {
                 break;
             }
         }
@@ -212,8 +234,9 @@ impl<'a> Views<'a> {
         Some(quantile(&mut ranges, 0.95)? - quantile(&mut ranges, 0.05)?)
     }
 
-    /// Whether they agree better without an error, wherever they lie: a turn, or a way, that all given poses are off by looks like one.
-    fn agree_settled(&self, order: Option<&RayOrder>, constant_m: f64) -> bool {
+    /// Whether they may be off by an error: at given poses only if they agree better without it wherever they lie, since a turn, or a way,
+    /// that all given poses are off by looks like one.
+    fn may_be_off(&self, order: Option<&RayOrder>, constant_m: f64) -> bool {
         let settled = |order, constant_m| {
             self.agreement
                 .apart_settled(self.without(order, constant_m, true))

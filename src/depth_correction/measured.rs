@@ -19,6 +19,8 @@ pub struct MeasuredDepth {
     pub white: Option<MeasuredWhite>,
     /// The error by range alone: what was known of it and what the scan shows beside; `None` if there is neither.
     pub range_error: Option<RangeError>,
+    /// How much of what the scan shows of it is the same at all ranges, metres.
+    pub constant_m: f64,
     /// How the scan's depth was computed, where that was not by the rays of its pixels; what was measured is of depth put right.
     pub wrong_rays: Option<WrongRays>,
 }
@@ -48,6 +50,7 @@ impl DepthCorrection {
         let range_error = together(self.range.as_ref(), shown.as_ref(), RangeError::plus);
         let revised = settled.revised.as_ref();
         MeasuredDepth {
+            constant_m: revised.map_or(0.0, Revised::constant_m),
             wrong_rays: revised.and_then(Revised::wrong_rays),
             white: self.settled_white(fusion, settled),
             range_error,

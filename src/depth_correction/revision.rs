@@ -109,12 +109,14 @@ impl DepthCorrection {
         let plausible = asks_frames.then(|| self.plausible_white(fusion)).flatten();
         let start = plausible.or(self.recalibrated).or(self.live);
         let mut search = start.map(WhiteSearch::from);
-        let asked = may_revise.then(|| self.gross_error(fusion, has_multipath));
+        // A wiggle, which passes for a constant, is told by predictions of multipath.
+        let tells_wiggle = has_multipath && !self.predictions.0.is_empty();
+        let asked = may_revise.then(|| self.gross_error(fusion, tells_wiggle));
         let mut gross = asked.flatten().unwrap_or_default();
         // What is wrong by centimetres is put right before anything else is asked: a bent model tells nothing.
-        let mut n_gross = usize::from(!gross.is_none());
+        let mut begins_at = usize::from(!gross.is_none());
         let (mut round, mut n_passes) = (0, 0);
-        while round < self.fusion.max_revisions + n_gross {
+        while round < self.fusion.max_revisions + begins_at {
             let work = Work::CorrectDepth(round + 1);
             if !goes_on(work.at(0, frames.len())) {
                 break;
@@ -129,26 +131,26 @@ impl DepthCorrection {
                 |revised| revised.known.clone(),
             );
             let is_gross = revised.is_none() && !known.gross.is_none();
-            let mut has_more = is_gross || has_multipath && round < MODEL_ROUNDS + n_gross;
-            let asks_sensor = !is_gross && round < SENSOR_ROUNDS + n_gross;
+            let mut has_more = is_gross || has_multipath && round < MODEL_ROUNDS + begins_at;
+            let asks_sensor = !is_gross && round < SENSOR_ROUNDS + begins_at;
             has_more |= asks_sensor && self.add_what_frames_show(current, &mut known);
             // A scan that shows none at first shows none later, and asking takes a second.
-            let may_show_range = round == n_gross || known.range.is_some();
+            let may_show_range = round == begins_at || known.range.is_some();
             let asks_range = asks_sensor && self.fusion.range_error && may_show_range;
-            let asks_white = round > n_gross && revised.is_some() && !self.is_measured;
+            let asks_white = round > begins_at && revised.is_some() && !self.is_measured;
             let is_asked = has_multipath && (asks_range || asks_white);
             let compared = is_asked.then(|| self.compared(current, known.white));
             let mut views = compared.flatten();
             let known_range = known.range.clone();
             let has_range = asks_range && add_what_views_show(&mut views, &mut known);
             has_more |= has_range;
-            if has_range && known.gross.constant().is_some() {
+            if has_range && known.gross.constant().is_some() && self.shows_range(fusion, start) {
                 // A wiggle, of which its ranges show a part, had passed for a constant.
                 tracing::info!(
                     "a constant of the range is not told beside an error by range, and is left"
                 );
                 gross = gross.without_constant();
-                n_gross = round + usize::from(!gross.is_none());
+                begins_at = round + usize::from(!gross.is_none());
                 revised = None;
                 continue;
             }
@@ -170,10 +172,17 @@ impl DepthCorrection {
             n_passes = round + 1;
             let fuse =
                 |known| self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
-            match fuse(known).or_else(|| fuse(without_range?)) {
+            let is_good = |again: &Revised| !is_gross || self.lies_as_close(fusion, &again.fusion);
+            match fuse(known).or_else(|| fuse(without_range?)).filter(is_good) {
                 Some(again) => (revised, told) = (Some(again), None),
-                // Put right it loses its track, and is taken as it is.
-                None if is_gross => gross = GrossError::default(),
+                // Put right it loses its track or lies farther apart, and is taken with less of it put right, or as it is.
+                None if is_gross => {
+                    gross = match gross.rays.is_some() && gross.constant().is_some() {
+                        true => gross.without_constant(),
+                        false => GrossError::default(),
+                    };
+                    begins_at = round + 1 + usize::from(!gross.is_none());
+                }
                 None => {
                     // With an error of range taken off they tell of a scan that there is not.
                     told = told.filter(|_| !has_range);
@@ -217,7 +226,13 @@ impl DepthCorrection {
         is_as_close
     }
 
-    /// What the depth of a Kinect II's scan gets wrong by centimetres; a constant only where a wiggle, which passes for one, can be told too.
+    /// Whether the views of a scan that was fused with a white level show an error by range but for a constant.
+    fn shows_range(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> bool {
+        let views = self.compared(fusion, white);
+        views.is_some_and(|views| views.range_error().is_some())
+    }
+
+    /// What the depth of a Kinect II's scan gets wrong by centimetres; a constant only where a wiggle can be told too.
     fn gross_error(&self, fusion: &Fusion, tells_wiggle: bool) -> Option<GrossError> {
         if self.info.sensor != Sensor::Kinect2 {
             return None;
@@ -314,7 +329,9 @@ impl DepthCorrection {
             .map(|(frame, here)| Waypoint::of(frame, here))
             .collect();
         let velocities = velocities(&path);
-        let was_wrong = revised.is_none() && !known.gross.is_none();
+        // Later ones lie near where they did, but in a long scan, of which some were asked so far.
+        let is_first = revised.is_none() || frames.len() > self.max_sought_by;
+        let was_wrong = is_first && !known.gross.is_none();
         let slid = was_wrong || known.shutter.is_some() || known.range.is_some();
         let reach = (slid && !is_given).then_some(TRACKED_ANEW_REACH);
         let corrected = |index: usize| {

@@ -294,6 +294,7 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
         told.range_error()
             .is_some_and(|error| error.largest_m() > 0.002)
     );
+    assert_eq!(told.constant_m(), 0.0, "a wiggle passed for it");
     let after = off_m(&told.fusion, &truths);
     let best = off_m(&without.fusion, &truths);
     assert!(
@@ -369,7 +370,17 @@ fn a_constant_of_the_range_is_told_by_the_views_of_a_scan_and_taken_off() {
     );
     correction.fusion.range_error = false;
     let not_asked = correction.revise(&fusion, &|_| true);
-    assert_eq!(not_asked.and_then(|revised| revised.range_error()), None);
+    let not_asked = not_asked.expect("light comes over the table");
+    assert_eq!(not_asked.range_error(), None);
+    correction.fusion.range_error = true;
+    // A device of which something is known has that beside it.
+    correction.range = Some(RangeError::through(vec![[0.5, 0.001], [1.0, 0.002]]));
+    let measured = correction.measure(&fusion, &|_| true);
+    let both = measured.range_error.expect("both");
+    for (range_m, known_m) in [(0.36, 0.001), (0.5, 0.001), (3.0, 0.002)] {
+        let off_m = both.at_m(range_m) - known_m - measured.constant_m;
+        assert!(off_m.abs() < 1e-9, "{off_m} m at {range_m} m");
+    }
 }
 
 #[test]
@@ -407,9 +418,10 @@ fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
         (fusion, revised.expect("light comes over the table"))
     };
     let (_, right) = revised(Frame::clone);
-    assert_eq!(right.wrong_rays(), None);
+    assert_eq!((right.wrong_rays(), right.constant_m()), (None, 0.0));
     let (fusion, righted) = revised(bent);
     assert_eq!(righted.wrong_rays(), Some(WrongRays::UpsideDown));
+    assert_eq!(righted.constant_m(), 0.0);
     let before = off_m(&fusion, &truths);
     let (after, best) = (
         off_m(&righted.fusion, &truths),

@@ -46,13 +46,13 @@ pub struct FusionParams {
     pub depth_field: bool,
     /// Whether the time in which a Kinect I's rows are read is measured by the scan itself, and its motion meanwhile taken off.
     pub rolling_shutter: bool,
-    /// Whether the error that a Kinect II's depth has by range alone is measured by the scan itself and taken off.
+    /// Whether the error that a Kinect II's depth has by range alone, wiggle or constant, is measured by the scan itself and taken off.
     pub range_error: bool,
     /// Whether depth of a Kinect II was computed with the rays of its image upside down, as libfreenect2's CPU and OpenGL decoders do, and
     /// is to be put right from the first frame; a scan tells it at its end.
     pub rays_upside_down: bool,
-    /// How often a scan may be fused again at its end with what it has told of its depth; beside that once to put rays right, and a
-    /// Kinect II's scan of many frames, of which a part tells, once more with all of them.
+    /// How often a scan may be fused again at its end with what it has told of its depth; beside that once or twice to put a constant and
+    /// rays right, and a Kinect II's scan of many frames, of which a part tells, once more with all of them.
     pub max_revisions: usize,
     /// Polishing of given poses.
     pub polish: PolishParams,

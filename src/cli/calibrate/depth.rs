@@ -130,6 +130,13 @@ fn print(measured: &MeasuredDepth) -> io::Result<()> {
         }
         None => writeln!(Stdout, "the session shows no multipath")?,
     }
+    if measured.constant_m != 0.0 {
+        writeln!(
+            Stdout,
+            "at all ranges alike depth is {:+.1} mm off, within 6 mm or so",
+            1e3 * measured.constant_m
+        )?;
+    }
     match &measured.range_error {
         Some(error) => writeln!(
             Stdout,
