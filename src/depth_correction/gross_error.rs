@@ -1,8 +1,8 @@
 //! What is wrong with the depth of every frame alike, by up to centimetres, before anything finer can be told: the rays that it was computed
 //! by ([`RayOrder`]), and a constant of the range.
 //!
-//! The phase of a time-of-flight sensor has a constant of its own, which drifts as the device warms up: by 24 mm, say users of a
-//! Kinect II. Scanned from one distance it makes a scene larger; but what is far is made so by less than what is near, and what is aside by
+//! The phase of a time-of-flight sensor has a constant of its own, 24 mm, say users of a Kinect II, which drifts by millimetres as the
+//! device warms up. Scanned from one distance it makes a scene larger; but what is far is made so by less than what is near, and what is aside by
 //! less than it is moved, so that views of one surface disagree. (A share of the range would make all of a scene larger, and no scan tells
 //! it; the sensor's clock is right to some parts in a million.) Which of all these lets views [agree](Agreement) best is told together:
 //! each alone would pass for the other in part.
@@ -32,11 +32,12 @@ pub(super) struct GrossError {
 
 /// Most views that are compared, each with each.
 const MAX_VIEWS: usize = 40;
-/// Rays are others if views then disagree by no more than this share: 0.36 to 0.89 where they were, 0.97 to 2.8 where they were not.
+/// Rays are others if views then disagree by no more than this share: 0.36 to 0.89 where they were, 0.97 to 2.8 where nothing was wrong;
+/// 0.83 to 1.35 where a constant was,
 const MAX_SHARE_OF_RAYS: f64 = 0.93;
-/// And, a constant taken off by either, by no more than this share: 0.90 and 0.95 where they were, 0.99 to 1.08 where they were not.
+/// for which, the best constant taken off with either, by no more than this share: 0.90 and 0.95 where they were, 0.99 to 1.08 where not.
 const MAX_SHARE_BESIDE_CONSTANT: f64 = 0.97;
-/// A constant is one if views then disagree by no more than this share: 0.74 to 0.86 where it was 20 mm.
+/// A constant is one if views then disagree by no more than this share: 0.73 to 0.84 where it was 20 mm, 0.94 at 12.
 const MAX_SHARE_OF_CONSTANT: f64 = 0.97;
 /// What is believed of one, metres: a smaller one is not told from the multipath that is left before there is a model (by up to 6 mm too
 /// much is told), and a larger one no device has.
@@ -47,7 +48,7 @@ const PLAINLY_NONE_M: f64 = 0.004;
 const STEP_M: f64 = 0.005;
 /// so many of them to either side of the best one so far, as long as there is a better one,
 const REACHES: [i32; 3] = [4, 2, 1];
-/// and no farther.
+/// and a best one beyond so many is not pursued.
 const MAX_STEPS: i32 = 8;
 /// Where nine tenths of the patches lie within less, a wiggle, which goes to and fro in 0.3 m, passes for a constant, metres.
 const MIN_SPREAD_M: f64 = 0.4;
@@ -63,6 +64,9 @@ pub(super) struct Views<'a> {
     agreement: Agreement<'a>,
     as_they_were: Vec<View>,
 }
+
+/// An order of rays and a constant, metres, that are taken off.
+type Errors<'a> = (Option<&'a RayOrder>, f64);
 
 /// The constant with which views agree best.
 #[derive(Clone, Copy, Debug)]
@@ -161,11 +165,12 @@ impl<'a> Views<'a> {
         );
         let spread_m = self.spread_m().unwrap_or(0.0);
         let believed_m = |told: &Told, order| {
+            let (with, without) = ((order, 0.0), (order, told.constant_m));
             let is_told = asks
                 && spread_m >= MIN_SPREAD_M
                 && BELIEVED_M.contains(&told.constant_m.abs())
                 && told.apart <= MAX_SHARE_OF_CONSTANT * told.apart_before
-                && self.may_be_off(order, told.constant_m);
+                && self.may_be_off(with, without);
             if is_told { told.constant_m } else { 0.0 }
         };
         let other_m = other.map_or(0.0, |other| believed_m(&other, order));
@@ -177,7 +182,7 @@ impl<'a> Views<'a> {
             };
             left <= MAX_SHARE_OF_RAYS * as_is.apart_before
                 && other.apart <= MAX_SHARE_BESIDE_CONSTANT * as_is.apart
-                && self.may_be_off(order, other_m)
+                && self.may_be_off((None, 0.0), (order, other_m))
         });
         match are_others {
             true => GrossError {
@@ -215,8 +220,10 @@ impl<'a> Views<'a> {
                     break;
                 }
             }
-            constant_m = STEP_M * (f64::from(best) + lowest_beside(&apart, best, reach));
-            if constant_m.abs() < PLAINLY_NONE_M || best.abs() > MAX_STEPS {
+            let beside = lowest_beside(&apart, best, reach);
+            constant_m = STEP_M * (f64::from(best) + beside.unwrap_or(0.0));
+            let is_none = beside.is_some() && constant_m.abs() < PLAINLY_NONE_M;
+            if is_none || best.abs() > MAX_STEPS {
                 break;
             }
         }
@@ -234,15 +241,14 @@ impl<'a> Views<'a> {
         Some(quantile(&mut ranges, 0.95)? - quantile(&mut ranges, 0.05)?)
     }
 
-    /// Whether they may be off by an error: at given poses only if they agree better without it wherever they lie, since a turn, or a way,
-    /// that all given poses are off by looks like one.
-    fn may_be_off(&self, order: Option<&RayOrder>, constant_m: f64) -> bool {
-        let settled = |order, constant_m| {
+    /// Whether one error may be taken off instead of another: at given poses only if they agree better without it wherever they lie, since a turn, or a way, that all given poses are off by looks like one.
+    fn may_be_off(&self, instead_of: Errors, taken_off: Errors) -> bool {
+        let settled = |(order, constant_m)| {
             self.agreement
                 .apart_settled(self.without(order, constant_m, true))
         };
-        let apart = || settled(order, constant_m).zip(settled(None, 0.0));
-        !self.are_given || apart().is_some_and(|(without, with)| without < with)
+        let apart = || settled(taken_off).zip(settled(instead_of));
+        !self.are_given || apart().is_some_and(|(one, other)| one < other)
     }
 
     /// How far they lie apart without an error, as a share of their range.
@@ -272,15 +278,13 @@ impl<'a> Views<'a> {
 }
 
 /// How many steps from the best one of three, which lie a reach apart, views would lie nearest: what is left beside the constant adds
-/// up by squares.
-fn lowest_beside(apart: &BTreeMap<i32, f64>, best: i32, reach: i32) -> f64 {
+/// up by squares. `None` where they do not tell.
+fn lowest_beside(apart: &BTreeMap<i32, f64>, best: i32, reach: i32) -> Option<f64> {
     let squared = |at: i32| apart.get(&at).map_or(f64::INFINITY, |apart| apart * apart);
     let [before, here, after] = [best - reach, best, best + reach].map(squared);
     let curvature = before - 2.0 * here + after;
-    match curvature > 0.0 && curvature.is_finite() {
-        true => 0.5 * f64::from(reach) * (before - after) / curvature,
-        false => 0.0,
-    }
+    let is_told = curvature > 0.0 && curvature.is_finite();
+    is_told.then(|| 0.5 * f64::from(reach) * (before - after) / curvature)
 }
 
 /// Ranges that are too long by so much, metres.
@@ -389,6 +393,7 @@ mod tests {
                 );
                 let not_asked = views.gross_error(other_rays(), false);
                 assert_eq!(not_asked.constant_m, 0.0);
+                assert!(is_bent || not_asked.rays.is_none(), "{constant_m} m");
             }
         }
     }

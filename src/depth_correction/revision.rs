@@ -144,8 +144,10 @@ impl DepthCorrection {
             let known_range = known.range.clone();
             let has_range = asks_range && add_what_views_show(&mut views, &mut known);
             has_more |= has_range;
-            if has_range && known.gross.constant().is_some() && self.shows_range(fusion, start) {
-                // A wiggle, of which its ranges show a part, had passed for a constant.
+            // A wiggle, of which its ranges show a part, may have passed for a constant; a bent scan does not tell.
+            let was_there = || known.gross.rays.is_some() || self.shows_range(fusion, start);
+            let is_first = has_range && known_range.is_none();
+            if is_first && known.gross.constant().is_some() && was_there() {
                 tracing::info!(
                     "a constant of the range is not told beside an error by range, and is left"
                 );
@@ -390,7 +392,7 @@ impl DepthCorrection {
         tracing::info!(
             white_level = known.white.map(|white| white.0),
             rays_righted = known.gross.rays.is_some(),
-            constant_mm = known.gross.constant().map(|error| 1e3 * error.largest_m()),
+            constant_mm = 1e3 * known.gross.constant_m,
             range_error_mm = known.range.as_ref().map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),

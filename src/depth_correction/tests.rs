@@ -376,6 +376,7 @@ fn a_constant_of_the_range_is_told_by_the_views_of_a_scan_and_taken_off() {
     // A device of which something is known has that beside it.
     correction.range = Some(RangeError::through(vec![[0.5, 0.001], [1.0, 0.002]]));
     let measured = correction.measure(&fusion, &|_| true);
+    assert!((measured.constant_m - CONSTANT_M).abs() < 0.007);
     let both = measured.range_error.expect("both");
     for (range_m, known_m) in [(0.36, 0.001), (0.5, 0.001), (3.0, 0.002)] {
         let off_m = both.at_m(range_m) - known_m - measured.constant_m;

@@ -8,7 +8,7 @@
 //! Views that see a place from different ranges disagree by it. Where the surface lies and how each view was moved are unknown:
 //! what a place has in all views, and what a motion of a view explains, is projected out of what was found and of what each part of
 //! the curve would make of it, so that tracking and fusion hide nothing. Multipath is fitted beside it, for it grows with range too.
-//! A constant and a share of the range are projected out too: they look alike but for the scale of the scene, which nothing tells.
+//! A constant and a share of the range are projected out too: of a constant the model has taken up most, and a share is the scene's scale.
 
 use super::evidence::{MIN_PATCHES, MIN_VIEWS, Sample, motion_of};
 use super::range_spline::RangeSpline;

@@ -133,7 +133,7 @@ fn print(measured: &MeasuredDepth) -> io::Result<()> {
     if measured.constant_m != 0.0 {
         writeln!(
             Stdout,
-            "at all ranges alike depth is {:+.1} mm off, within 6 mm or so",
+            "the scan shows that all ranges alike are off by {:+.1} mm, within 6 mm or so",
             1e3 * measured.constant_m
         )?;
     }
@@ -162,6 +162,9 @@ fn measurement(
     let session = measured_session(session_name(session), session)?;
     let mut figures = BTreeMap::new();
     let mut state = |name: &str, value: f64| figures.insert(name.to_owned(), value);
+    if key == CalibrationKey::RangeError && measured.constant_m != 0.0 {
+        state("constant_m", measured.constant_m);
+    }
     if let Some(white) = &measured.white {
         state("disagreement_m", white.evidence.residual_m);
         state("patches", white.evidence.n_patches as f64);
