@@ -39,6 +39,7 @@ pub(super) struct Agreement<'a> {
 }
 
 /// A view's patches by their cell.
+#[derive(Clone)]
 pub(super) struct View {
     world_from_camera: Pose,
     patches: Vec<Option<DepthPatch>>,

@@ -1,11 +1,11 @@
-//! What is wrong with the depth of every frame alike, by up to centimetres, before anything finer can be told: the rays that it was computed
-//! by ([`RayOrder`]), and a constant of the range.
+//! What is wrong with the depth of every frame alike, by up to centimetres, before anything finer can be told: the rays that it was
+//! computed by ([`RayOrder`]), and a constant of the range.
 //!
 //! The phase of a time-of-flight sensor has a constant of its own, 24 mm, say users of a Kinect II, which drifts by millimetres as the
-//! device warms up. Scanned from one distance it makes a scene larger; but what is far is made so by less than what is near, and what is aside by
-//! less than it is moved, so that views of one surface disagree. (A share of the range would make all of a scene larger, and no scan tells
-//! it; the sensor's clock is right to some parts in a million.) Which of all these lets views [agree](Agreement) best is told together:
-//! each alone would pass for the other in part.
+//! device warms up. Scanned from one distance it makes a scene larger; but what is far is made so by less than what is near, and what is
+//! aside by less than it is moved, so that views of one surface disagree. (A share of the range would make all of a scene larger, and no
+//! scan tells it; the sensor's clock is right to some parts in a million.) Which of all these lets views [agree](Agreement) best is told
+//! together: each alone would pass for the other in part.
 
 use super::agreement::{Agreement, View};
 use super::ray_order::{RayOrder, WrongRays};
@@ -52,8 +52,6 @@ const REACHES: [i32; 3] = [4, 2, 1];
 const MAX_STEPS: i32 = 8;
 /// Where nine tenths of the patches lie within less, a wiggle, which goes to and fro in 0.3 m, passes for a constant, metres.
 const MIN_SPREAD_M: f64 = 0.4;
-/// All ranges, metres.
-const RANGES_M: [f64; 2] = [0.0, 20.0];
 
 /// Views of a scan that are compared.
 pub(super) struct Views<'a> {
@@ -81,7 +79,7 @@ struct Told {
 impl GrossError {
     /// How much too long ranges are, the same at all of them; `None` where they are not.
     pub(super) fn constant(&self) -> Option<RangeError> {
-        (self.constant_m != 0.0).then(|| constant_error(self.constant_m))
+        (self.constant_m != 0.0).then(|| RangeError::constant(self.constant_m))
     }
 
     /// The same without a constant.
@@ -99,10 +97,8 @@ impl GrossError {
 
     /// A depth image (metres, 0 is none) without it.
     pub(super) fn taken_off(&self, depth_m: &Image<f32>, grid: &RayGrid) -> Option<Image<f32>> {
-        let righted = self.rays.as_ref().map(|(_, rays)| rays.righted(depth_m));
-        let from = righted.as_ref().unwrap_or(depth_m);
-        let shorter = self.constant().map(|error| error.corrected(from, grid));
-        shorter.or(righted)
+        let order = self.rays.as_ref().map(|(_, order)| order);
+        without_errors(depth_m, (order, self.constant_m), grid)
     }
 
     /// The motion in the camera's frame by which a depth image (m) without it lies best on the image as it was, by which it was tracked.
@@ -145,11 +141,12 @@ impl<'a> Views<'a> {
 
     /// What is wrong with all of them, a constant only where it `asks` for one, and where rays may be others; nothing where they agree as
     /// well as they are, or too few see one surface.
-    pub(super) fn gross_error(&self, rays: (WrongRays, RayOrder), asks: bool) -> GrossError {
-        let order = rays.1.shows().then_some(&rays.1);
-        if order.is_none() && !asks {
-            return GrossError::default();
-        }
+    pub(super) fn gross_error(
+        &self,
+        rays: Option<(WrongRays, RayOrder)>,
+        asks: bool,
+    ) -> GrossError {
+        let order = rays.as_ref().map(|(_, order)| order);
         // Rays are told beside a constant even where it is not asked for: it passes for others.
         let (as_is, other) = rayon::join(
             || self.told(None),
@@ -186,7 +183,7 @@ impl<'a> Views<'a> {
         });
         match are_others {
             true => GrossError {
-                rays: Some(rays),
+                rays,
                 constant_m: other_m,
             },
             false => GrossError {
@@ -198,7 +195,7 @@ impl<'a> Views<'a> {
 
     /// The constant with which they agree best, their rays in an order; `None` if too few see one surface.
     fn told(&self, order: Option<&RayOrder>) -> Option<Told> {
-        let nothing = self.apart(order, 0.0)?;
+        let nothing = self.apart((order, 0.0))?;
         let mut apart = BTreeMap::from([(0, nothing)]);
         let (mut best, mut constant_m) = (0, 0.0);
         for reach in REACHES {
@@ -208,7 +205,7 @@ impl<'a> Views<'a> {
                     let here = match apart.entry(at) {
                         Entry::Occupied(known) => *known.get(),
                         Entry::Vacant(asked) => {
-                            let here = self.apart(order, f64::from(at) * STEP_M);
+                            let here = self.apart((order, f64::from(at) * STEP_M));
                             *asked.insert(here.unwrap_or(f64::INFINITY))
                         }
                     };
@@ -241,31 +238,29 @@ impl<'a> Views<'a> {
         Some(quantile(&mut ranges, 0.95)? - quantile(&mut ranges, 0.05)?)
     }
 
-    /// Whether one error may be taken off instead of another: at given poses only if they agree better without it wherever they lie, since a turn, or a way, that all given poses are off by looks like one.
+    /// Whether one error may be taken off instead of another: at given poses only if they agree better without it wherever they lie, since
+    /// a turn, or a way, that all given poses are off by looks like one.
     fn may_be_off(&self, instead_of: Errors, taken_off: Errors) -> bool {
-        let settled = |(order, constant_m)| {
-            self.agreement
-                .apart_settled(self.without(order, constant_m, true))
-        };
+        let settled = |errors| self.agreement.apart_settled(self.without(errors, true));
         let apart = || settled(taken_off).zip(settled(instead_of));
         !self.are_given || apart().is_some_and(|(one, other)| one < other)
     }
 
-    /// How far they lie apart without an error, as a share of their range.
-    fn apart(&self, order: Option<&RayOrder>, constant_m: f64) -> Option<f64> {
-        let views = self.without(order, constant_m, !self.are_given);
+    /// How far they lie apart without errors, as a share of their range.
+    fn apart(&self, taken_off: Errors) -> Option<f64> {
+        let views = self.without(taken_off, !self.are_given);
         match self.are_given {
             true => self.agreement.apart(&views),
             false => self.agreement.apart_settled(views),
         }
     }
 
-    /// They without an error, each moved to where it lies best on itself with it, if they were tracked so.
-    fn without(&self, order: Option<&RayOrder>, constant_m: f64, are_tracked: bool) -> Vec<View> {
-        let error = constant_error(constant_m);
+    /// They without errors, each moved to where it lies best on itself with them, if they were tracked so.
+    fn without(&self, errors: Errors, are_tracked: bool) -> Vec<View> {
         let view = |((depth_m, pose), as_it_was): (&(Image<f32>, Pose), &View)| {
-            let righted_m = order.map(|order| order.righted(depth_m));
-            let without_m = error.corrected(righted_m.as_ref().unwrap_or(depth_m), self.grid);
+            let Some(without_m) = without_errors(depth_m, errors, self.grid) else {
+                return as_it_was.clone();
+            };
             let without = self.agreement.view(&without_m, pose);
             match are_tracked {
                 true => without.brought_onto(as_it_was),
@@ -287,9 +282,18 @@ fn lowest_beside(apart: &BTreeMap<i32, f64>, best: i32, reach: i32) -> Option<f6
     is_told.then(|| 0.5 * f64::from(reach) * (before - after) / curvature)
 }
 
-/// Ranges that are too long by so much, metres.
-fn constant_error(constant_m: f64) -> RangeError {
-    RangeError::through(RANGES_M.map(|range| [range, constant_m]).to_vec())
+/// A depth image (metres, 0 is none) without errors; `None` without any.
+fn without_errors(
+    depth_m: &Image<f32>,
+    (order, constant_m): Errors,
+    grid: &RayGrid,
+) -> Option<Image<f32>> {
+    let righted = order.map(|order| order.righted(depth_m));
+    if constant_m == 0.0 {
+        return righted;
+    }
+    let from = righted.as_ref().unwrap_or(depth_m);
+    Some(RangeError::constant(constant_m).corrected(from, grid))
 }
 
 #[cfg(test)]
@@ -347,7 +351,7 @@ mod tests {
     /// The wall as a sensor with an error sees it, and what was seen without.
     fn seen_with(error: &GrossError, rays: &RayGrid, poses: &[Pose]) -> Vec<(Image<f32>, Pose)> {
         let of = |pose: &Pose| {
-            let longer = constant_error(-error.constant_m).corrected(&seen(rays, pose), rays);
+            let longer = RangeError::constant(-error.constant_m).corrected(&seen(rays, pose), rays);
             let undone = error.rays.as_ref().map(|(_, order)| order.undone());
             let bent = undone.map_or_else(|| longer.clone(), |order| order.righted(&longer));
             (bent, *pose)
@@ -359,7 +363,7 @@ mod tests {
     fn views_tell_of_rays_and_a_constant_at_given_poses_and_at_those_that_they_were_tracked_by() {
         let rays = rays();
         let order = RayOrder::upside_down(&rays);
-        let other_rays = || (WrongRays::UpsideDown, order.clone());
+        let other_rays = || Some((WrongRays::UpsideDown, order.clone()));
         for (is_bent, constant_m) in [
             (false, 0.0),
             (true, 0.0),
@@ -369,7 +373,7 @@ mod tests {
             (true, -0.02),
         ] {
             let error = GrossError {
-                rays: is_bent.then(other_rays),
+                rays: other_rays().filter(|_| is_bent),
                 constant_m,
             };
             let given = seen_with(&error, &rays, &poses());
@@ -418,7 +422,7 @@ mod tests {
         let one = Views::new(vec![(wrong, pose)], true, &rays);
         let order = RayOrder::upside_down(&rays);
         assert!(
-            one.gross_error((WrongRays::UpsideDown, order), true)
+            one.gross_error(Some((WrongRays::UpsideDown, order)), true)
                 .is_none()
         );
     }

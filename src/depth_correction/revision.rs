@@ -243,12 +243,18 @@ impl DepthCorrection {
             Some(order) => (WrongRays::PutRightInVain, order.undone()),
             None => (WrongRays::UpsideDown, RayOrder::upside_down(&self.rays)),
         };
+        let other_rays = Some(other_rays).filter(|(_, order)| order.shows());
+        let asks_constant = tells_wiggle && self.fusion.range_error;
+        if other_rays.is_none() && !asks_constant {
+            return None;
+        }
         let (frames, are_given) = (fusion.keyframes(), fusion.is_at_given_poses());
         let views = Views::of(frames, are_given, &self.rays);
-        Some(views.gross_error(other_rays, tells_wiggle && self.fusion.range_error))
+        Some(views.gross_error(other_rays, asks_constant))
     }
 
-    /// Where frames lie before any of them is fused again: put right, one that was tracked lies otherwise, and the first stays where it was.
+    /// Where frames lie before any of them is fused again: put right, one that was tracked lies otherwise, and the first stays where it
+    /// was.
     fn start_of(&self, frames: &[Keyframe], known: &Known, is_given: bool) -> Vec<Pose> {
         let tracked = |frame: &Keyframe| frame.world_from_camera;
         if known.gross.is_none() {

@@ -332,7 +332,7 @@ fn a_constant_of_the_range_is_told_by_the_views_of_a_scan_and_taken_off() {
         let camera = SimulatedCamera::kinect2_plaque(frames.len(), 7);
         (0..frames.len()).map(|k| camera.true_depth(k)).collect()
     };
-    let longer = RangeError::through(vec![[0.5, -CONSTANT_M], [4.5, -CONSTANT_M]]);
+    let longer = RangeError::constant(-CONSTANT_M);
     let deliver = |frame: &Frame| {
         let rays = RayGrid::new(CameraModel::new(
             SimulatedCamera::kinect2_plaque(1, 7).info().intrinsics,

@@ -33,6 +33,11 @@ impl RangeError {
         RangeError { points }
     }
 
+    /// The same at all ranges, metres.
+    pub fn constant(error_m: f64) -> Self {
+        RangeError::through(vec![[0.0, error_m], [MAX_RANGE_M, error_m]])
+    }
+
     /// How much too long a range is, metres.
     pub fn at_m(&self, range_m: f64) -> f64 {
         let points = &self.points;

@@ -38,12 +38,13 @@ pub fn mask_edges_and_occluders(
             *foremost = live;
         }
     }
-    let model_edges = depth_edges(model_depth_m, optics);
-    let mut foremost_edges = depth_edges(&foremost_m, optics);
+    let nearest_m = of_pixels_around(model_depth_m, lesser);
+    let model_edges = depth_edges(model_depth_m, &nearest_m, optics);
+    let foremost_nearest_m = of_pixels_around(&foremost_m, lesser);
+    let mut foremost_edges = depth_edges(&foremost_m, &foremost_nearest_m, optics);
     for _ in 0..DENIED_WITHIN_PX {
         foremost_edges = of_pixels_around(&foremost_edges, greater);
     }
-    let nearest_m = of_pixels_around(model_depth_m, lesser);
     let model_m = model_depth_m.data().iter().zip(nearest_m.data());
     let edges = model_edges.data().iter().zip(foremost_edges.data());
     let depths = live_depth_m.data().iter().zip(model_m);
@@ -61,10 +62,9 @@ pub fn mask_edges_and_occluders(
     of_pixels_around(&model_edges, greater).map(|&near| near == 0.0)
 }
 
-/// 1 at the depth edges of an image and on its border, 0 elsewhere.
-fn depth_edges(depth_m: &Image<f32>, optics: &Optics) -> Image<f32> {
+/// 1 at the depth edges of an image, given the nearest round each pixel, and on its border, 0 elsewhere.
+fn depth_edges(depth_m: &Image<f32>, nearest_m: &Image<f32>, optics: &Optics) -> Image<f32> {
     let edge_share = DEPTH_EDGE_PX / optics.rays.camera().intrinsics().fx as f32;
-    let nearest_m = of_pixels_around(depth_m, lesser);
     let farthest_m = of_pixels_around(depth_m, greater);
     let mut edges = depth_m.clone();
     let around = nearest_m.data().iter().zip(farthest_m.data());
