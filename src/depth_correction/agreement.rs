@@ -1,16 +1,10 @@
-//! How far views of one surface lie apart: by what is wrong with all of them alike.
-//!
-//! Where views were tracked, most of what they are off by alike passes for a motion of the camera, so that they are first brought to where
-//! they agree best.
+//! How far views of one surface lie apart.
 
-use crate::{
-    geometry::{
-        CellGrid, DepthPatch, MotionEquations, Pose, RayGrid, increment, point_to_plane_row,
-    },
-    robust::median,
+use crate::geometry::{
+    CellGrid, DepthPatch, MotionEquations, Pose, RayGrid, increment, point_to_plane_row,
 };
 use depth_camera::Image;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 /// Columns of patches in an image.
@@ -18,19 +12,17 @@ const COLUMNS: usize = 32;
 /// Pixels of a patch between those that are looked at.
 const STEP_PX: usize = 2;
 /// Fewer pairs of patches tell nothing.
-const MIN_PAIRS: usize = 500;
+const MIN_PAIRS: usize = 250;
 /// Patches farther apart are not of one surface, metres: a bend of 54 mm, and what else depth is off by.
 const MAX_APART_M: f64 = 0.08;
 /// Nor are those that are turned against one another by more: 37°.
 const MIN_COSINE: f64 = 0.8;
+/// Patches that lie farther apart count for less than half, metres: three times what agreeing ones scatter by.
+pub(super) const SCALE_M: f64 = 0.002;
 /// Turns of motions and planes until a view lies as well as it can on itself as it was.
 const MOTION_ROUNDS: usize = 3;
-/// Turns of all views that were tracked until they agree as well as they can.
-const SETTLING_ROUNDS: usize = 4;
-/// Patches that lie farther apart count for less than half while views are settled, metres: three times what agreeing ones scatter by.
-const SETTLING_SCALE_M: f64 = 0.002;
 /// Motions that patches do not hold, as along a wall, are damped by this share of all that they hold.
-const DAMPING: f64 = 1e-6;
+pub(super) const DAMPING: f64 = 1e-6;
 
 /// Compares the views of one camera.
 pub(super) struct Agreement<'a> {
@@ -41,8 +33,23 @@ pub(super) struct Agreement<'a> {
 /// A view's patches by their cell.
 #[derive(Clone)]
 pub(super) struct View {
-    world_from_camera: Pose,
+    pub(super) world_from_camera: Pose,
     patches: Vec<Option<DepthPatch>>,
+}
+
+/// A patch of one view, and that of another one on the same surface.
+pub(super) struct Pair<'v> {
+    pub(super) patch: &'v DepthPatch,
+    /// The other view,
+    pub(super) other: usize,
+    /// its patch, in its frame,
+    pub(super) seen: &'v DepthPatch,
+    /// and its normal in the frame of the first.
+    pub(super) normal: Vector3<f64>,
+    /// Where the first one's patch is in the other's frame.
+    pub(super) at: Point3<f64>,
+    /// How far before the other's plane it lies, metres.
+    pub(super) apart_m: f64,
 }
 
 impl<'a> Agreement<'a> {
@@ -64,73 +71,58 @@ impl<'a> Agreement<'a> {
         }
     }
 
-    /// How far views of one surface lie apart where they are, as a share of their range; `None` if too few see one.
-    pub(super) fn apart(&self, views: &[View]) -> Option<f64> {
+    /// How far views of one surface lie apart where they are: the mean of a cost that grows with the square of what is small beside the
+    /// scale that agreeing ones scatter by, and hardly with what is large; `None` if too few see one.
+    pub(super) fn disagreement(&self, views: &[View]) -> Option<f64> {
         let of_view = |index: usize| {
-            let mut apart = Vec::new();
-            self.each_pair(views, index, |patch, _, apart_m| {
-                apart.push(apart_m.abs() / patch.centre.coords.norm());
-            });
-            apart
+            let costs = self.pairs(views, index).map(|pair| cost(pair.apart_m));
+            costs.fold((0.0, 0), |(sum, n), cost| (sum + cost, n + 1))
         };
-        let mut apart: Vec<f64> = (0..views.len())
-            .into_par_iter()
-            .flat_map_iter(of_view)
-            .collect();
-        (apart.len() >= MIN_PAIRS).then(|| median(&mut apart))?
+        let each = (0..views.len()).into_par_iter().map(of_view);
+        let (sum, n) = each.reduce(|| (0.0, 0), |(a, m), (b, n)| (a + b, m + n));
+        (n >= MIN_PAIRS).then(|| sum / n as f64)
     }
 
-    /// The same where they agree best.
-    pub(super) fn apart_settled(&self, mut views: Vec<View>) -> Option<f64> {
-        for _ in 0..SETTLING_ROUNDS {
-            self.settle(&mut views);
-        }
-        self.apart(&views)
-    }
-
-    /// Moves one view after the other to where its patches lie best on the planes of the others.
-    fn settle(&self, views: &mut [View]) {
-        for index in 0..views.len() {
-            let (mut rows, mut apart) = (Vec::new(), Vec::new());
-            self.each_pair(views, index, |patch, normal, apart_m| {
-                let weight = 1.0 / (1.0 + (apart_m / SETTLING_SCALE_M).powi(2));
-                rows.push((point_to_plane_row(&patch.centre.coords, &normal), weight));
-                apart.push(-apart_m);
-            });
-            if let Some(equations) = MotionEquations::new(rows, DAMPING) {
-                views[index].world_from_camera *=
-                    increment(&equations.explaining(apart.into_iter()));
-            }
-        }
-    }
-
-    /// Tells of each patch of a view, and each other view that has a patch of the same surface where it is seen: that one's normal in the
-    /// frame of the first, and how far before its plane the patch lies, metres.
-    fn each_pair(
-        &self,
-        views: &[View],
+    /// The patches of a view that other views have a patch of the same surface of, where they are seen, with each of these. Of two views
+    /// one is asked, so that all of them are asked for every pair once.
+    pub(super) fn pairs<'v>(
+        &'v self,
+        views: &'v [View],
         index: usize,
-        mut tell: impl FnMut(&DepthPatch, Vector3<f64>, f64),
-    ) {
-        let (view, camera) = (&views[index], self.rays.camera());
-        for (_, other) in views.iter().enumerate().filter(|(k, _)| *k != index) {
+    ) -> impl Iterator<Item = Pair<'v>> + 'v {
+        let view = &views[index];
+        let is_seen_in = move |k: usize| (k > index) == ((k + index) % 2 == 0);
+        let others = views.iter().enumerate();
+        let others = others.filter(move |(k, _)| *k != index && is_seen_in(*k));
+        others.flat_map(move |(k, other)| {
             let other_from_view = other.world_from_camera.inverse() * view.world_from_camera;
-            for patch in view.patches.iter().flatten() {
-                let centre = other_from_view * patch.centre;
-                let pixel = camera.project(&centre);
-                let pixel = pixel.filter(|pixel| camera.contains(pixel, 0.0));
-                let cell = pixel.and_then(|p| self.cells.cell_of((p.x as usize, p.y as usize)));
-                let Some(seen) = cell.and_then(|cell| other.patches[cell].as_ref()) else {
-                    continue;
+            let patches = view.patches.iter().flatten();
+            patches.filter_map(move |patch| {
+                let at = other_from_view * patch.centre;
+                let camera = self.rays.camera();
+                let pixel = camera.project(&at);
+                let pixel = pixel.filter(|pixel| camera.contains(pixel, 0.0))?;
+                let cell = self.cells.cell_of((pixel.x as usize, pixel.y as usize))?;
+                let seen = other.patches[cell].as_ref()?;
+                let pair = Pair {
+                    patch,
+                    other: k,
+                    seen,
+                    normal: other_from_view.rotation.inverse() * seen.normal,
+                    at,
+                    apart_m: seen.normal.dot(&(at - seen.centre)),
                 };
-                let apart_m = seen.normal.dot(&(centre - seen.centre));
-                let normal = other_from_view.rotation.inverse() * seen.normal;
-                if normal.dot(&patch.normal) >= MIN_COSINE && apart_m.abs() <= MAX_APART_M {
-                    tell(patch, normal, apart_m);
-                }
-            }
-        }
+                let is_one_surface = pair.normal.dot(&patch.normal) >= MIN_COSINE
+                    && pair.apart_m.abs() <= MAX_APART_M;
+                is_one_surface.then_some(pair)
+            })
+        })
     }
+}
+
+/// What it costs that a patch lies apart from another one, metres.
+fn cost(apart_m: f64) -> f64 {
+    (apart_m / SCALE_M).powi(2).ln_1p()
 }
 
 impl View {
@@ -138,14 +130,6 @@ impl View {
     pub(super) fn ranges_m(&self) -> impl Iterator<Item = f64> + '_ {
         let patches = self.patches.iter().flatten();
         patches.map(|patch| patch.centre.coords.norm())
-    }
-
-    /// This view moved to where its patches lie best on those of another one, of the same pose, in the same cells.
-    pub(super) fn brought_onto(self, other: &View) -> Self {
-        View {
-            world_from_camera: self.world_from_camera * self.motion_onto(other),
-            ..self
-        }
     }
 
     /// The motion in the camera's frame that brings patches onto those of another view in the same cells.

@@ -1,57 +1,49 @@
-//! What is wrong with the depth of every frame alike, by up to centimetres, before anything finer can be told: the rays that it was
-//! computed by ([`RayOrder`]), and a constant of the range.
+//! What is wrong with the depth of every frame alike, before anything finer can be told: the rays that it was computed by
+//! ([`RayOrder`]), a constant of the range, and a wiggle.
 //!
 //! The phase of a time-of-flight sensor has a constant of its own, 24 mm, say users of a Kinect II, which drifts by millimetres as the
 //! device warms up. Scanned from one distance it makes a scene larger; but what is far is made so by less than what is near, and what is
 //! aside by less than it is moved, so that views of one surface disagree. (A share of the range would make all of a scene larger, and no
-//! scan tells it; the sensor's clock is right to some parts in a million.) Which of all these lets views [agree](Agreement) best is told
-//! together: each alone would pass for the other in part.
+//! scan tells it; the sensor's clock is right to some parts in a million.) A wiggle passes for a constant, and either for other rays, so
+//! that all are told together, by how well views [agree](Agreement) without them.
 
 use super::agreement::{Agreement, View};
 use super::ray_order::{RayOrder, WrongRays};
+use super::settling::{Asked, Curve, Settling};
 use crate::{
     fusion::Keyframe,
     geometry::{Pose, RangeError, RayGrid},
-    robust::quantile,
 };
 use depth_camera::Image;
 use rayon::prelude::*;
-use std::{
-    collections::{BTreeMap, btree_map::Entry},
-    ops::RangeInclusive,
-};
+use std::{borrow::Cow, ops::RangeInclusive};
 
 /// What is taken off the depth of every frame alike.
 #[derive(Clone, Debug, Default)]
 pub(super) struct GrossError {
     /// `None` is rays as they should be.
     pub(super) rays: Option<(WrongRays, RayOrder)>,
-    /// How much too long ranges are, the same at all of them, metres.
+    /// How much too long ranges are; `None` where they are not.
+    pub(super) range: Option<RangeError>,
+    /// How much of that is the same at all of them, metres.
     pub(super) constant_m: f64,
 }
 
 /// Most views that are compared, each with each.
 const MAX_VIEWS: usize = 40;
-/// Rays are others if views then disagree by no more than this share: 0.36 to 0.89 where they were, 0.97 to 2.8 where nothing was wrong;
-/// 0.83 to 1.35 where a constant was,
-const MAX_SHARE_OF_RAYS: f64 = 0.93;
-/// for which, the best constant taken off with either, by no more than this share: 0.90 and 0.95 where they were, 0.99 to 1.08 where not.
-const MAX_SHARE_BESIDE_CONSTANT: f64 = 0.97;
-/// A constant is one if views then disagree by no more than this share: 0.73 to 0.84 where it was 20 mm, 0.94 at 12.
-const MAX_SHARE_OF_CONSTANT: f64 = 0.97;
-/// What is believed of one, metres: a smaller one is not told from the multipath that is left before there is a model (by up to 6 mm too
-/// much is told), and a larger one no device has.
+/// Rays are others if views then disagree by no more than this share: 0.88 and 0.94 where they were, 1.00 to 1.16 where they were not.
+const MAX_SHARE_OF_RAYS: f64 = 0.97;
+/// Others are not asked for a constant if with a wiggle alone taken off they let views disagree by more than this share.
+const MAX_SHARE_WORTH_ASKING: f64 = 1.05;
+/// There is a wiggle if views disagree by no more than this share with it taken off: 0.87 and 0.88 where it was of 1 mm, 0.96 to 0.99 where
+/// none was.
+const MAX_SHARE_OF_WIGGLE: f64 = 0.92;
+/// There is a constant if they disagree by no more than this share of what a wiggle alone leaves: 0.88 to 0.98 where it was of 12 to 20 mm,
+/// 0.991 to 1.004 where none was.
+const MAX_SHARE_OF_CONSTANT: f64 = 0.99;
+/// What is believed of one, metres: a smaller one is not told from the multipath that is left before there is a model (which looks like one
+/// of up to 3.5 mm, in a bowl of 7), and a larger one no device has.
 const BELIEVED_M: RangeInclusive<f64> = 0.008..=0.04;
-/// One that seems to be so small need not be looked for more closely, metres.
-const PLAINLY_NONE_M: f64 = 0.004;
-/// A constant is looked for in steps of so much, metres,
-const STEP_M: f64 = 0.005;
-/// so many of them to either side of the best one so far, as long as there is a better one,
-const REACHES: [i32; 3] = [4, 2, 1];
-/// and a best one beyond so many is not pursued.
-const MAX_STEPS: i32 = 8;
-/// Where nine tenths of the patches lie within less, a wiggle, which goes to and fro in 0.3 m, passes for a constant, metres.
-const MIN_SPREAD_M: f64 = 0.4;
 
 /// Views of a scan that are compared.
 pub(super) struct Views<'a> {
@@ -63,42 +55,44 @@ pub(super) struct Views<'a> {
     as_they_were: Vec<View>,
 }
 
-/// An order of rays and a constant, metres, that are taken off.
-type Errors<'a> = (Option<&'a RayOrder>, f64);
+/// An error by range, and how far views disagree without it.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    curve: Curve,
+    disagreement: f64,
+}
 
-/// The constant with which views agree best.
+/// What views tell, their rays in one order.
 #[derive(Clone, Copy, Debug)]
 struct Told {
-    constant_m: f64,
-    /// How far views lie apart with it taken off, as a share of their range.
-    apart: f64,
-    /// And with it left.
-    apart_before: f64,
+    nothing: Fit,
+    wiggle: Fit,
+    with_constant: Fit,
+    /// Whether the constant is one.
+    shows_constant: bool,
 }
 
 impl GrossError {
-    /// How much too long ranges are, the same at all of them; `None` where they are not.
-    pub(super) fn constant(&self) -> Option<RangeError> {
-        (self.constant_m != 0.0).then(|| RangeError::constant(self.constant_m))
-    }
-
-    /// The same without a constant.
-    pub(super) fn without_constant(self) -> Self {
+    /// The same without an error by range.
+    pub(super) fn rays_alone(self) -> Self {
         GrossError {
-            constant_m: 0.0,
-            ..self
+            rays: self.rays,
+            ..GrossError::default()
         }
     }
 
     /// Whether there is none.
     pub(super) fn is_none(&self) -> bool {
-        self.rays.is_none() && self.constant_m == 0.0
+        self.rays.is_none() && self.range.is_none()
     }
 
     /// A depth image (metres, 0 is none) without it.
     pub(super) fn taken_off(&self, depth_m: &Image<f32>, grid: &RayGrid) -> Option<Image<f32>> {
-        let order = self.rays.as_ref().map(|(_, order)| order);
-        without_errors(depth_m, (order, self.constant_m), grid)
+        let righted = self.rays.as_ref().map(|(_, order)| order.righted(depth_m));
+        match &self.range {
+            Some(error) => Some(error.corrected(righted.as_ref().unwrap_or(depth_m), grid)),
+            None => righted,
+        }
     }
 
     /// The motion in the camera's frame by which a depth image (m) without it lies best on the image as it was, by which it was tracked.
@@ -139,161 +133,145 @@ impl<'a> Views<'a> {
         }
     }
 
-    /// What is wrong with all of them, a constant only where it `asks` for one, and where rays may be others; nothing where they agree as
+    /// What is wrong with all of them, by range only where it `asks` for that, and where rays may be others; nothing where they agree as
     /// well as they are, or too few see one surface.
     pub(super) fn gross_error(
         &self,
         rays: Option<(WrongRays, RayOrder)>,
         asks: bool,
     ) -> GrossError {
-        let order = rays.as_ref().map(|(_, order)| order);
-        // Rays are told beside a constant even where it is not asked for: it passes for others.
-        let (as_is, other) = rayon::join(
-            || self.told(None),
-            || order.and_then(|order| self.told(Some(order))),
-        );
-        let Some(as_is) = as_is else {
+        let Some(as_is) = self.told(None) else {
             return GrossError::default();
         };
+        // Rays are told beside an error by range even where that is not asked for: it passes for others.
+        let order = rays.as_ref().map(|(_, order)| order);
+        let other = order.and_then(|order| {
+            let near = MAX_SHARE_WORTH_ASKING * as_is.wiggle.disagreement;
+            let wiggle = self.fit(Some(order), Asked::Wiggle, !self.are_given)?;
+            (wiggle.disagreement <= near).then(|| self.told(Some(order)))?
+        });
         tracing::info!(
             ?as_is,
             with_other_rays = ?other,
-            "constant of the range, and rays: how far views of one surface lie apart, as a share of their range"
+            "rays, and error by range: how far views of one surface disagree"
         );
-        let spread_m = self.spread_m().unwrap_or(0.0);
-        let believed_m = |told: &Told, order| {
-            let (with, without) = ((order, 0.0), (order, told.constant_m));
-            let is_told = asks
-                && spread_m >= MIN_SPREAD_M
-                && BELIEVED_M.contains(&told.constant_m.abs())
-                && told.apart <= MAX_SHARE_OF_CONSTANT * told.apart_before
-                && self.may_be_off(with, without);
-            if is_told { told.constant_m } else { 0.0 }
+        let are_others = |other: &Told| {
+            let share = other.best().disagreement / as_is.best().disagreement;
+            share <= MAX_SHARE_OF_RAYS && self.hold_wherever_views_lie(order)
         };
-        let other_m = other.map_or(0.0, |other| believed_m(&other, order));
-        let are_others = other.is_some_and(|other| {
-            let left = if other_m == 0.0 {
-                other.apart_before
-            } else {
-                other.apart
-            };
-            left <= MAX_SHARE_OF_RAYS * as_is.apart_before
-                && other.apart <= MAX_SHARE_BESIDE_CONSTANT * as_is.apart
-                && self.may_be_off((None, 0.0), (order, other_m))
-        });
-        match are_others {
-            true => GrossError {
-                rays,
-                constant_m: other_m,
-            },
-            false => GrossError {
-                rays: None,
-                constant_m: believed_m(&as_is, None),
-            },
+        let others = other.filter(are_others);
+        let rays = rays.filter(|_| others.is_some());
+        let told = others.unwrap_or(as_is);
+        let curve = told.believed().filter(|_| asks);
+        GrossError {
+            rays,
+            range: curve.map(|curve| curve.error(self.ranges_m())),
+            constant_m: curve.map_or(0.0, Curve::constant_m),
         }
     }
 
-    /// The constant with which they agree best, their rays in an order; `None` if too few see one surface.
+    /// What they tell, their rays in an order; `None` if too few see one surface.
     fn told(&self, order: Option<&RayOrder>) -> Option<Told> {
-        let nothing = self.apart((order, 0.0))?;
-        let mut apart = BTreeMap::from([(0, nothing)]);
-        let (mut best, mut constant_m) = (0, 0.0);
-        for reach in REACHES {
-            loop {
-                let before = best;
-                for at in [before - reach, before + reach] {
-                    let here = match apart.entry(at) {
-                        Entry::Occupied(known) => *known.get(),
-                        Entry::Vacant(asked) => {
-                            let here = self.apart((order, f64::from(at) * STEP_M));
-                            *asked.insert(here.unwrap_or(f64::INFINITY))
-                        }
-                    };
-                    if here < apart[&best] {
-                        best = at;
-                    }
-                }
-                if best == before || best.abs() > MAX_STEPS {
-                    break;
-                }
-            }
-            let beside = lowest_beside(&apart, best, reach);
-            constant_m = STEP_M * (f64::from(best) + beside.unwrap_or(0.0));
-            let is_none = beside.is_some() && constant_m.abs() < PLAINLY_NONE_M;
-            if is_none || best.abs() > MAX_STEPS {
-                break;
+        let fit = |asked| self.fit(order, asked, !self.are_given);
+        let mut told = Told {
+            nothing: fit(Asked::Nothing)?,
+            wiggle: fit(Asked::Wiggle)?,
+            with_constant: fit(Asked::ConstantAndWiggle)?,
+            shows_constant: false,
+        };
+        let constant_m = told.with_constant.curve.constant_m();
+        let share = told.with_constant.disagreement / told.wiggle.disagreement;
+        // A turn, or a way, that all given poses are off by looks like a constant: views must agree better without it wherever they lie.
+        let settled = |asked| self.fit(order, asked, true);
+        let both = || settled(Asked::ConstantAndWiggle).zip(settled(Asked::Wiggle));
+        let holds =
+            || both().is_some_and(|(with, without)| with.disagreement < without.disagreement);
+        told.shows_constant = BELIEVED_M.contains(&constant_m.abs())
+            && share <= MAX_SHARE_OF_CONSTANT
+            && (!self.are_given || holds());
+        if told.shows_constant {
+            // Alone it is told more exactly.
+            let alone = fit(Asked::Constant)?;
+            if told.with_constant.disagreement > MAX_SHARE_OF_WIGGLE * alone.disagreement {
+                told.with_constant = alone;
             }
         }
-        Some(Told {
-            constant_m,
-            apart: apart[&best],
-            apart_before: nothing,
+        Some(told)
+    }
+
+    /// Whether given views agree better with other rays wherever they lie, too: a turn that all of these are off by looks like them.
+    fn hold_wherever_views_lie(&self, order: Option<&RayOrder>) -> bool {
+        let settled = |order| self.fit(order, Asked::ConstantAndWiggle, true);
+        let both = || settled(order).zip(settled(None));
+        let better =
+            || both().is_some_and(|(other, as_is)| other.disagreement < as_is.disagreement);
+        !self.are_given || better()
+    }
+
+    /// The error by range with which they agree best, their rays in an order, where they lie or moved to where they agree best; `None` if
+    /// too few see one surface.
+    fn fit(&self, order: Option<&RayOrder>, asked: Asked, are_moved: bool) -> Option<Fit> {
+        let views = self.views.par_iter().zip(&self.as_they_were);
+        let righted = views.map(|(view, as_it_was)| self.righted(order, view, as_it_was));
+        let (depths_m, poses): (Vec<_>, Vec<_>) = righted.unzip();
+        let settling = Settling {
+            agreement: &self.agreement,
+            are_moved,
+            asked,
+        };
+        let (curve, views) = settling.settled(poses, |curve, poses| {
+            let error = curve.at_all_ranges();
+            let view = |(depth_m, pose): (&Cow<Image<f32>>, &Pose)| {
+                self.agreement
+                    .view(&error.corrected(depth_m, self.grid), pose)
+            };
+            depths_m.par_iter().zip(poses).map(view).collect()
+        })?;
+        Some(Fit {
+            curve,
+            disagreement: self.agreement.disagreement(&views)?,
         })
     }
 
-    /// Within how much nine tenths of their patches' ranges lie, metres; `None` without patches.
-    fn spread_m(&self) -> Option<f64> {
-        let views = self.as_they_were.iter();
-        let mut ranges: Vec<f64> = views.flat_map(View::ranges_m).collect();
-        Some(quantile(&mut ranges, 0.95)? - quantile(&mut ranges, 0.05)?)
+    /// Depth (m) of a view with its rays in an order, and where that lies: moved onto itself as it was, if it was tracked so.
+    fn righted<'v>(
+        &self,
+        order: Option<&RayOrder>,
+        (depth_m, pose): &'v (Image<f32>, Pose),
+        as_it_was: &View,
+    ) -> (Cow<'v, Image<f32>>, Pose) {
+        let Some(order) = order else {
+            return (Cow::Borrowed(depth_m), *pose);
+        };
+        let righted_m = order.righted(depth_m);
+        let motion = match self.are_given {
+            true => Pose::identity(),
+            false => self.agreement.view(&righted_m, pose).motion_onto(as_it_was),
+        };
+        (Cow::Owned(righted_m), pose * motion)
     }
 
-    /// Whether one error may be taken off instead of another: at given poses only if they agree better without it wherever they lie, since
-    /// a turn, or a way, that all given poses are off by looks like one.
-    fn may_be_off(&self, instead_of: Errors, taken_off: Errors) -> bool {
-        let settled = |errors| self.agreement.apart_settled(self.without(errors, true));
-        let apart = || settled(taken_off).zip(settled(instead_of));
-        !self.are_given || apart().is_some_and(|(one, other)| one < other)
+    /// How far their patches are, metres.
+    fn ranges_m(&self) -> Vec<f64> {
+        self.as_they_were.iter().flat_map(View::ranges_m).collect()
     }
+}
 
-    /// How far they lie apart without errors, as a share of their range.
-    fn apart(&self, taken_off: Errors) -> Option<f64> {
-        let views = self.without(taken_off, !self.are_given);
-        match self.are_given {
-            true => self.agreement.apart(&views),
-            false => self.agreement.apart_settled(views),
+impl Told {
+    /// The fit that is worth most.
+    fn best(&self) -> &Fit {
+        if self.shows_constant {
+            &self.with_constant
+        } else {
+            &self.wiggle
         }
     }
 
-    /// They without errors, each moved to where it lies best on itself with them, if they were tracked so.
-    fn without(&self, errors: Errors, are_tracked: bool) -> Vec<View> {
-        let view = |((depth_m, pose), as_it_was): (&(Image<f32>, Pose), &View)| {
-            let Some(without_m) = without_errors(depth_m, errors, self.grid) else {
-                return as_it_was.clone();
-            };
-            let without = self.agreement.view(&without_m, pose);
-            match are_tracked {
-                true => without.brought_onto(as_it_was),
-                false => without,
-            }
-        };
-        let views = self.views.par_iter().zip(&self.as_they_were);
-        views.map(view).collect()
+    /// The error that there is.
+    fn believed(&self) -> Option<&Curve> {
+        let share = self.best().disagreement / self.nothing.disagreement;
+        (self.shows_constant || share <= MAX_SHARE_OF_WIGGLE).then_some(&self.best().curve)
     }
-}
-
-/// How many steps from the best one of three, which lie a reach apart, views would lie nearest: what is left beside the constant adds
-/// up by squares. `None` where they do not tell.
-fn lowest_beside(apart: &BTreeMap<i32, f64>, best: i32, reach: i32) -> Option<f64> {
-    let squared = |at: i32| apart.get(&at).map_or(f64::INFINITY, |apart| apart * apart);
-    let [before, here, after] = [best - reach, best, best + reach].map(squared);
-    let curvature = before - 2.0 * here + after;
-    let is_told = curvature > 0.0 && curvature.is_finite();
-    is_told.then(|| 0.5 * f64::from(reach) * (before - after) / curvature)
-}
-
-/// A depth image (metres, 0 is none) without errors; `None` without any.
-fn without_errors(
-    depth_m: &Image<f32>,
-    (order, constant_m): Errors,
-    grid: &RayGrid,
-) -> Option<Image<f32>> {
-    let righted = order.map(|order| order.righted(depth_m));
-    if constant_m == 0.0 {
-        return righted;
-    }
-    let from = righted.as_ref().unwrap_or(depth_m);
-    Some(RangeError::constant(constant_m).corrected(from, grid))
 }
 
 #[cfg(test)]
@@ -302,6 +280,7 @@ mod tests {
     use crate::geometry::{CameraModel, increment};
     use depth_camera::Intrinsics;
     use nalgebra::{Point3, Translation3, Vector3, Vector6};
+    use std::f64::consts::TAU;
 
     /// A camera whose principal point lies off the middle row as a Kinect II's may.
     fn rays() -> RayGrid {
@@ -348,10 +327,15 @@ mod tests {
         (0..12).map(pose).collect()
     }
 
-    /// The wall as a sensor with an error sees it, and what was seen without.
+    /// The wall as a sensor with an error sees it.
     fn seen_with(error: &GrossError, rays: &RayGrid, poses: &[Pose]) -> Vec<(Image<f32>, Pose)> {
         let of = |pose: &Pose| {
-            let longer = RangeError::constant(-error.constant_m).corrected(&seen(rays, pose), rays);
+            let right = seen(rays, pose);
+            let added = error
+                .range
+                .as_ref()
+                .map(|error| RangeError::of(|m| -error.at_m(m)));
+            let longer = added.map_or_else(|| right.clone(), |added| added.corrected(&right, rays));
             let undone = error.rays.as_ref().map(|(_, order)| order.undone());
             let bent = undone.map_or_else(|| longer.clone(), |order| order.righted(&longer));
             (bent, *pose)
@@ -359,21 +343,30 @@ mod tests {
         poses.iter().map(of).collect()
     }
 
+    /// A constant and a wiggle, metres.
+    fn error_by_range(constant_m: f64, wiggle_m: f64) -> Option<RangeError> {
+        let at_m = |range_m: f64| constant_m + wiggle_m * (TAU * range_m / 0.3123).sin();
+        (constant_m != 0.0 || wiggle_m != 0.0).then(|| RangeError::of(at_m))
+    }
+
     #[test]
-    fn views_tell_of_rays_and_a_constant_at_given_poses_and_at_those_that_they_were_tracked_by() {
+    fn views_tell_of_rays_and_range_at_given_poses_and_at_those_that_they_were_tracked_by() {
         let rays = rays();
         let order = RayOrder::upside_down(&rays);
         let other_rays = || Some((WrongRays::UpsideDown, order.clone()));
-        for (is_bent, constant_m) in [
-            (false, 0.0),
-            (true, 0.0),
-            (false, 0.02),
-            (false, -0.025),
-            (true, 0.02),
-            (true, -0.02),
+        for (is_bent, constant_m, wiggle_m) in [
+            (false, 0.0, 0.0),
+            (true, 0.0, 0.0),
+            (false, 0.02, 0.0),
+            (false, -0.025, 0.0),
+            (false, 0.0, 0.003),
+            (false, 0.02, -0.003),
+            (true, 0.02, 0.0),
+            (true, -0.02, 0.003),
         ] {
             let error = GrossError {
                 rays: other_rays().filter(|_| is_bent),
+                range: error_by_range(constant_m, wiggle_m),
                 constant_m,
             };
             let given = seen_with(&error, &rays, &poses());
@@ -386,18 +379,22 @@ mod tests {
                 })
                 .collect();
             for (views, are_given) in [(given, true), (tracked, false)] {
+                let case = format!("{is_bent}, {constant_m} m, {wiggle_m} m, given: {are_given}");
                 let views = Views::new(views, are_given, &rays);
                 let told = views.gross_error(other_rays(), true);
-                assert_eq!(told.rays.is_some(), is_bent, "{constant_m} m, {are_given}");
+                assert_eq!(told.rays.is_some(), is_bent, "{case}");
                 let off_m = told.constant_m - constant_m;
-                assert!(
-                    off_m.abs() < 0.005,
-                    "{} m for {constant_m} m, bent: {is_bent}, given: {are_given}",
-                    told.constant_m
-                );
-                let not_asked = views.gross_error(other_rays(), false);
-                assert_eq!(not_asked.constant_m, 0.0);
-                assert!(is_bent || not_asked.rays.is_none(), "{constant_m} m");
+                assert!(off_m.abs() < 0.004, "{case}: {} m", told.constant_m);
+                assert_eq!(told.range.is_some(), error.range.is_some(), "{case}");
+                for (told, error) in told.range.iter().zip(&error.range) {
+                    let off_m = |k: u32| {
+                        let range_m = 1.0 + 0.01 * f64::from(k);
+                        told.at_m(range_m) - error.at_m(range_m)
+                    };
+                    let squares: f64 = (0..30).map(|k| off_m(k).powi(2)).sum();
+                    let off_m = (squares / 30.0).sqrt();
+                    assert!(off_m < 0.004, "{case}: {off_m} m of a wiggle");
+                }
             }
         }
     }
@@ -407,6 +404,7 @@ mod tests {
         let rays = rays();
         let error = GrossError {
             rays: Some((WrongRays::UpsideDown, RayOrder::upside_down(&rays))),
+            range: error_by_range(0.02, 0.0),
             constant_m: 0.02,
         };
         let pose = Pose::identity();
@@ -422,8 +420,12 @@ mod tests {
         let one = Views::new(vec![(wrong, pose)], true, &rays);
         let order = RayOrder::upside_down(&rays);
         assert!(
-            one.gross_error(Some((WrongRays::UpsideDown, order)), true)
+            one.gross_error(Some((WrongRays::UpsideDown, order.clone())), true)
                 .is_none()
         );
+        // And nothing by range is told that is not asked for.
+        let views = Views::new(seen_with(&error, &rays, &poses()), true, &rays);
+        let told = views.gross_error(Some((WrongRays::UpsideDown, order)), false);
+        assert!(told.rays.is_some() && told.range.is_none());
     }
 }

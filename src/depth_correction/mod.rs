@@ -13,6 +13,7 @@ mod measured;
 mod predictions;
 mod ray_order;
 mod revision;
+mod settling;
 #[cfg(test)]
 mod tests;
 

@@ -28,12 +28,7 @@ pub struct Revised {
 impl Revised {
     /// The error by range alone that the scan showed, beside what is known of the device.
     pub fn range_error(&self) -> Option<RangeError> {
-        let constant = self.known.gross.constant();
-        together(
-            constant.as_ref(),
-            self.known.range.as_ref(),
-            RangeError::plus,
-        )
+        self.known.range_error()
     }
 
     /// How much of that is the same at all ranges, metres.
@@ -53,12 +48,20 @@ pub(super) struct Known {
     pub(super) gross: GrossError,
     /// `None` is no multipath.
     pub(super) white: Option<WhiteLevel>,
-    /// `None` is no error by range alone but for a constant.
+    /// What was told later of the error by range, beside that of `gross`; `None` is no more of it.
     pub(super) range: Option<RangeError>,
     /// `None` is no slow error.
     pub(super) field: Option<DepthField>,
     /// `None` is all rows at once.
     pub(super) shutter: Option<RollingShutter>,
+}
+
+impl Known {
+    /// All of the error by range.
+    fn range_error(&self) -> Option<RangeError> {
+        let (gross, finer) = (self.gross.range.as_ref(), self.range.as_ref());
+        together(gross, finer, RangeError::plus)
+    }
 }
 
 /// How far revising a scan came.
@@ -109,9 +112,7 @@ impl DepthCorrection {
         let plausible = asks_frames.then(|| self.plausible_white(fusion)).flatten();
         let start = plausible.or(self.recalibrated).or(self.live);
         let mut search = start.map(WhiteSearch::from);
-        // A wiggle, which passes for a constant, is told by predictions of multipath.
-        let tells_wiggle = has_multipath && !self.predictions.0.is_empty();
-        let asked = may_revise.then(|| self.gross_error(fusion, tells_wiggle));
+        let asked = may_revise.then(|| self.gross_error(fusion, has_multipath));
         let mut gross = asked.flatten().unwrap_or_default();
         // What is wrong by centimetres is put right before anything else is asked: a bent model tells nothing.
         let mut begins_at = usize::from(!gross.is_none());
@@ -144,18 +145,6 @@ impl DepthCorrection {
             let known_range = known.range.clone();
             let has_range = asks_range && add_what_views_show(&mut views, &mut known);
             has_more |= has_range;
-            // A wiggle, of which its ranges show a part, may have passed for a constant; a bent scan does not tell.
-            let was_there = || known.gross.rays.is_some() || self.shows_range(fusion, start);
-            let is_first = has_range && known_range.is_none();
-            if is_first && known.gross.constant().is_some() && was_there() {
-                tracing::info!(
-                    "a constant of the range is not told beside an error by range, and is left"
-                );
-                gross = gross.without_constant();
-                begins_at = round + usize::from(!gross.is_none());
-                revised = None;
-                continue;
-            }
             if asks_white {
                 told = views.and_then(|views| self.evidence(&views, known.white));
                 if let Some((evidence, search)) = told.zip(search.as_mut()) {
@@ -179,8 +168,8 @@ impl DepthCorrection {
                 Some(again) => (revised, told) = (Some(again), None),
                 // Put right it loses its track or lies farther apart, and is taken with less of it put right, or as it is.
                 None if is_gross => {
-                    gross = match gross.rays.is_some() && gross.constant().is_some() {
-                        true => gross.without_constant(),
+                    gross = match gross.rays.is_some() && gross.range.is_some() {
+                        true => gross.rays_alone(),
                         false => GrossError::default(),
                     };
                     begins_at = round + 1 + usize::from(!gross.is_none());
@@ -228,14 +217,9 @@ impl DepthCorrection {
         is_as_close
     }
 
-    /// Whether the views of a scan that was fused with a white level show an error by range but for a constant.
-    fn shows_range(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> bool {
-        let views = self.compared(fusion, white);
-        views.is_some_and(|views| views.range_error().is_some())
-    }
-
-    /// What the depth of a Kinect II's scan gets wrong by centimetres; a constant only where a wiggle can be told too.
-    fn gross_error(&self, fusion: &Fusion, tells_wiggle: bool) -> Option<GrossError> {
+    /// What the depth of a Kinect II's scan gets wrong before anything finer can be told; by range only without multipath, which looks like
+    /// it.
+    fn gross_error(&self, fusion: &Fusion, has_multipath: bool) -> Option<GrossError> {
         if self.info.sensor != Sensor::Kinect2 {
             return None;
         }
@@ -244,13 +228,13 @@ impl DepthCorrection {
             None => (WrongRays::UpsideDown, RayOrder::upside_down(&self.rays)),
         };
         let other_rays = Some(other_rays).filter(|(_, order)| order.shows());
-        let asks_constant = tells_wiggle && self.fusion.range_error;
-        if other_rays.is_none() && !asks_constant {
+        let asks_range = has_multipath && self.fusion.range_error;
+        if other_rays.is_none() && !asks_range {
             return None;
         }
         let (frames, are_given) = (fusion.keyframes(), fusion.is_at_given_poses());
         let views = Views::of(frames, are_given, &self.rays);
-        Some(views.gross_error(other_rays, asks_constant))
+        Some(views.gross_error(other_rays, asks_range))
     }
 
     /// Where frames lie before any of them is fused again: put right, one that was tracked lies otherwise, and the first stays where it
@@ -399,7 +383,7 @@ impl DepthCorrection {
             white_level = known.white.map(|white| white.0),
             rays_righted = known.gross.rays.is_some(),
             constant_mm = 1e3 * known.gross.constant_m,
-            range_error_mm = known.range.as_ref().map(|error| 1e3 * error.largest_m()),
+            range_error_mm = known.range_error().map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),
             "fused again with its depth corrected"

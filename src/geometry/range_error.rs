@@ -38,6 +38,14 @@ impl RangeError {
         RangeError::through(vec![[0.0, error_m], [MAX_RANGE_M, error_m]])
     }
 
+    /// That which a function tells of a range, metres, at all ranges.
+    pub fn of(error_m: impl Fn(f64) -> f64) -> Self {
+        let n = (MAX_RANGE_M / TABLE_STEP_M) as u32;
+        let range_m = |step| f64::from(step) * TABLE_STEP_M;
+        let points = (0..=n).map(range_m).map(|range| [range, error_m(range)]);
+        RangeError::through(points.collect())
+    }
+
     /// How much too long a range is, metres.
     pub fn at_m(&self, range_m: f64) -> f64 {
         let points = &self.points;
