@@ -22,7 +22,7 @@ pub(super) const SCALE_M: f64 = 0.002;
 /// Turns of motions and planes until a view lies as well as it can on itself as it was.
 const MOTION_ROUNDS: usize = 3;
 /// Motions that patches do not hold, as along a wall, are damped by this share of all that they hold.
-pub(super) const DAMPING: f64 = 1e-6;
+const DAMPING: f64 = 1e-6;
 
 /// Compares the views of one camera.
 pub(super) struct Agreement<'a> {
@@ -31,9 +31,8 @@ pub(super) struct Agreement<'a> {
 }
 
 /// A view's patches by their cell.
-#[derive(Clone)]
 pub(super) struct View {
-    pub(super) world_from_camera: Pose,
+    world_from_camera: Pose,
     patches: Vec<Option<DepthPatch>>,
 }
 
@@ -91,7 +90,7 @@ impl<'a> Agreement<'a> {
         index: usize,
     ) -> impl Iterator<Item = Pair<'v>> + 'v {
         let view = &views[index];
-        let is_seen_in = move |k: usize| (k > index) == ((k + index) % 2 == 0);
+        let is_seen_in = move |k: usize| (k > index) == (k + index).is_multiple_of(2);
         let others = views.iter().enumerate();
         let others = others.filter(move |(k, _)| *k != index && is_seen_in(*k));
         others.flat_map(move |(k, other)| {

@@ -36,7 +36,7 @@ const MAX_SHARE_OF_RAYS: f64 = 0.97;
 /// Others are not asked for a constant if with a wiggle alone taken off they let views disagree by more than this share.
 const MAX_SHARE_WORTH_ASKING: f64 = 1.05;
 /// There is a wiggle if views disagree by no more than this share with it taken off: 0.87 and 0.88 where it was of 1 mm, 0.96 to 0.99 where
-/// none was.
+/// none was. So there is one beside a constant.
 const MAX_SHARE_OF_WIGGLE: f64 = 0.92;
 /// There is a constant if they disagree by no more than this share of what a wiggle alone leaves: 0.88 to 0.98 where it was of 12 to 20 mm,
 /// 0.991 to 1.004 where none was.
@@ -67,9 +67,16 @@ struct Fit {
 struct Told {
     nothing: Fit,
     wiggle: Fit,
-    with_constant: Fit,
-    /// Whether the constant is one.
-    shows_constant: bool,
+    /// Whether there is a wiggle.
+    shows_wiggle: bool,
+    /// A constant, and a wiggle where there is one beside it; `None` is no constant.
+    with_constant: Option<Fit>,
+}
+
+/// Depth (m) of views with their rays in one order, and where they lie.
+struct Ordered<'v> {
+    depths_m: Vec<Cow<'v, Image<f32>>>,
+    poses: Vec<Pose>,
 }
 
 impl GrossError {
@@ -140,26 +147,24 @@ impl<'a> Views<'a> {
         rays: Option<(WrongRays, RayOrder)>,
         asks: bool,
     ) -> GrossError {
-        let Some(as_is) = self.told(None) else {
+        let seen = self.in_order(None);
+        let Some(as_is) = self.told(&seen) else {
             return GrossError::default();
         };
+        as_is.log("rays as they are");
         // Rays are told beside an error by range even where that is not asked for: it passes for others.
-        let order = rays.as_ref().map(|(_, order)| order);
-        let other = order.and_then(|order| {
+        let righted = rays.as_ref().map(|(_, order)| self.in_order(Some(order)));
+        let others = righted.as_ref().and_then(|righted| {
             let near = MAX_SHARE_WORTH_ASKING * as_is.wiggle.disagreement;
-            let wiggle = self.fit(Some(order), Asked::Wiggle, !self.are_given)?;
-            (wiggle.disagreement <= near).then(|| self.told(Some(order)))?
-        });
-        tracing::info!(
-            ?as_is,
-            with_other_rays = ?other,
-            "rays, and error by range: how far views of one surface disagree"
-        );
-        let are_others = |other: &Told| {
+            let wiggle = self.fit(righted, Asked::Wiggle, !self.are_given)?;
+            let other = (wiggle.disagreement <= near).then(|| self.told(righted))??;
+            other.log("other rays");
             let share = other.best().disagreement / as_is.best().disagreement;
-            share <= MAX_SHARE_OF_RAYS && self.hold_wherever_views_lie(order)
-        };
-        let others = other.filter(are_others);
+            let asked = Asked::ConstantAndWiggle;
+            let are_others =
+                share <= MAX_SHARE_OF_RAYS && self.holds((righted, asked), (&seen, asked));
+            are_others.then_some(other)
+        });
         let rays = rays.filter(|_| others.is_some());
         let told = others.unwrap_or(as_is);
         let curve = told.believed().filter(|_| asks);
@@ -170,62 +175,56 @@ impl<'a> Views<'a> {
         }
     }
 
-    /// What they tell, their rays in an order; `None` if too few see one surface.
-    fn told(&self, order: Option<&RayOrder>) -> Option<Told> {
-        let fit = |asked| self.fit(order, asked, !self.are_given);
+    /// What they tell, their rays in one order; `None` if too few see one surface.
+    fn told(&self, ordered: &Ordered) -> Option<Told> {
+        let fit = |asked| self.fit(ordered, asked, !self.are_given);
+        let holds = |one, other| self.holds((ordered, one), (ordered, other));
+        let (nothing, wiggle) = (fit(Asked::Nothing)?, fit(Asked::Wiggle)?);
         let mut told = Told {
-            nothing: fit(Asked::Nothing)?,
-            wiggle: fit(Asked::Wiggle)?,
-            with_constant: fit(Asked::ConstantAndWiggle)?,
-            shows_constant: false,
+            shows_wiggle: wiggle.disagreement <= MAX_SHARE_OF_WIGGLE * nothing.disagreement
+                && holds(Asked::Wiggle, Asked::Nothing),
+            nothing,
+            wiggle,
+            with_constant: None,
         };
-        let constant_m = told.with_constant.curve.constant_m();
-        let share = told.with_constant.disagreement / told.wiggle.disagreement;
-        // A turn, or a way, that all given poses are off by looks like a constant: views must agree better without it wherever they lie.
-        let settled = |asked| self.fit(order, asked, true);
-        let both = || settled(Asked::ConstantAndWiggle).zip(settled(Asked::Wiggle));
-        let holds =
-            || both().is_some_and(|(with, without)| with.disagreement < without.disagreement);
-        told.shows_constant = BELIEVED_M.contains(&constant_m.abs())
-            && share <= MAX_SHARE_OF_CONSTANT
-            && (!self.are_given || holds());
-        if told.shows_constant {
-            // Alone it is told more exactly.
-            let alone = fit(Asked::Constant)?;
-            if told.with_constant.disagreement > MAX_SHARE_OF_WIGGLE * alone.disagreement {
-                told.with_constant = alone;
-            }
+        let is_constant = |fit: &Fit| {
+            BELIEVED_M.contains(&fit.curve.constant_m().abs())
+                && fit.disagreement <= MAX_SHARE_OF_CONSTANT * wiggle.disagreement
+        };
+        let both = fit(Asked::ConstantAndWiggle).filter(is_constant);
+        if let Some(both) = both.filter(|_| holds(Asked::ConstantAndWiggle, Asked::Wiggle)) {
+            // Where there is no wiggle beside it, it is told more exactly alone.
+            let is_all = |alone: &Fit| {
+                is_constant(alone) && both.disagreement > MAX_SHARE_OF_WIGGLE * alone.disagreement
+            };
+            told.with_constant = Some(fit(Asked::Constant).filter(is_all).unwrap_or(both));
         }
         Some(told)
     }
 
-    /// Whether given views agree better with other rays wherever they lie, too: a turn that all of these are off by looks like them.
-    fn hold_wherever_views_lie(&self, order: Option<&RayOrder>) -> bool {
-        let settled = |order| self.fit(order, Asked::ConstantAndWiggle, true);
-        let both = || settled(order).zip(settled(None));
-        let better =
-            || both().is_some_and(|(other, as_is)| other.disagreement < as_is.disagreement);
-        !self.are_given || better()
+    /// Whether they agree better with one error taken off than with another wherever they lie, too, if they lie at given poses: a turn, or
+    /// a way, that all of these are off by looks like one.
+    fn holds(&self, one: (&Ordered, Asked), other: (&Ordered, Asked)) -> bool {
+        let settled = |(ordered, asked)| Some(self.fit(ordered, asked, true)?.disagreement);
+        let both = || settled(one).zip(settled(other));
+        !self.are_given || both().is_some_and(|(one, other)| one < other)
     }
 
-    /// The error by range with which they agree best, their rays in an order, where they lie or moved to where they agree best; `None` if
-    /// too few see one surface.
-    fn fit(&self, order: Option<&RayOrder>, asked: Asked, are_moved: bool) -> Option<Fit> {
-        let views = self.views.par_iter().zip(&self.as_they_were);
-        let righted = views.map(|(view, as_it_was)| self.righted(order, view, as_it_was));
-        let (depths_m, poses): (Vec<_>, Vec<_>) = righted.unzip();
+    /// The error by range with which they agree best, where they lie or moved to where they agree best; `None` if too few see one surface.
+    fn fit(&self, ordered: &Ordered, asked: Asked, are_moved: bool) -> Option<Fit> {
         let settling = Settling {
             agreement: &self.agreement,
             are_moved,
             asked,
         };
-        let (curve, views) = settling.settled(poses, |curve, poses| {
+        let (curve, views) = settling.settled(ordered.poses.clone(), |curve, poses| {
             let error = curve.at_all_ranges();
             let view = |(depth_m, pose): (&Cow<Image<f32>>, &Pose)| {
                 self.agreement
                     .view(&error.corrected(depth_m, self.grid), pose)
             };
-            depths_m.par_iter().zip(poses).map(view).collect()
+            let views = ordered.depths_m.par_iter().zip(poses);
+            views.map(view).collect()
         })?;
         Some(Fit {
             curve,
@@ -233,22 +232,26 @@ impl<'a> Views<'a> {
         })
     }
 
-    /// Depth (m) of a view with its rays in an order, and where that lies: moved onto itself as it was, if it was tracked so.
-    fn righted<'v>(
-        &self,
-        order: Option<&RayOrder>,
-        (depth_m, pose): &'v (Image<f32>, Pose),
-        as_it_was: &View,
-    ) -> (Cow<'v, Image<f32>>, Pose) {
-        let Some(order) = order else {
-            return (Cow::Borrowed(depth_m), *pose);
+    /// They with their rays in an order, each moved to where it lies best on itself as it was, if it was tracked so.
+    fn in_order(&self, order: Option<&RayOrder>) -> Ordered<'_> {
+        let righted = |((depth_m, pose), as_it_was): (&'_ (Image<f32>, Pose), &View)| {
+            let righted_m = order?.righted(depth_m);
+            let motion = match self.are_given {
+                true => Pose::identity(),
+                false => self.agreement.view(&righted_m, pose).motion_onto(as_it_was),
+            };
+            Some((righted_m, pose * motion))
         };
-        let righted_m = order.righted(depth_m);
-        let motion = match self.are_given {
-            true => Pose::identity(),
-            false => self.agreement.view(&righted_m, pose).motion_onto(as_it_was),
-        };
-        (Cow::Owned(righted_m), pose * motion)
+        let views = self.views.par_iter().zip(&self.as_they_were);
+        let righted: Vec<Option<(Image<f32>, Pose)>> = views.map(righted).collect();
+        let views = righted.into_iter().zip(&self.views);
+        let (depths_m, poses) = views
+            .map(|(righted, (depth_m, pose))| match righted {
+                Some((righted_m, moved)) => (Cow::Owned(righted_m), moved),
+                None => (Cow::Borrowed(depth_m), *pose),
+            })
+            .unzip();
+        Ordered { depths_m, poses }
     }
 
     /// How far their patches are, metres.
@@ -260,72 +263,34 @@ impl<'a> Views<'a> {
 impl Told {
     /// The fit that is worth most.
     fn best(&self) -> &Fit {
-        if self.shows_constant {
-            &self.with_constant
-        } else {
-            &self.wiggle
-        }
+        self.with_constant.as_ref().unwrap_or(&self.wiggle)
     }
 
     /// The error that there is.
     fn believed(&self) -> Option<&Curve> {
-        let share = self.best().disagreement / self.nothing.disagreement;
-        (self.shows_constant || share <= MAX_SHARE_OF_WIGGLE).then_some(&self.best().curve)
+        let is_any = self.shows_wiggle || self.with_constant.is_some();
+        is_any.then_some(&self.best().curve)
+    }
+
+    fn log(&self, rays: &str) {
+        let share = |fit: &Fit| fit.disagreement / self.nothing.disagreement;
+        let constant = self.with_constant.as_ref();
+        tracing::info!(
+            rays,
+            disagreement = self.nothing.disagreement,
+            share_without_wiggle = share(&self.wiggle),
+            share_without_constant = constant.map(share),
+            constant_mm = constant.map(|fit| 1e3 * fit.curve.constant_m()),
+            "how far views of one surface disagree, and without an error by range"
+        );
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{CameraModel, increment};
-    use depth_camera::Intrinsics;
-    use nalgebra::{Point3, Translation3, Vector3, Vector6};
+    use crate::depth_correction::wavy_wall::{poses, rays, seen};
     use std::f64::consts::TAU;
-
-    /// A camera whose principal point lies off the middle row as a Kinect II's may.
-    fn rays() -> RayGrid {
-        RayGrid::new(CameraModel::new(Intrinsics {
-            width: 256,
-            height: 212,
-            fx: 183.0,
-            fy: 183.0,
-            cx: 127.5,
-            cy: 100.5,
-            k1: 0.0,
-            k2: 0.0,
-            p1: 0.0,
-            p2: 0.0,
-            k3: 0.0,
-        }))
-    }
-
-    /// Depth of a wavy wall at a metre.
-    fn seen(rays: &RayGrid, world_from_camera: &Pose) -> Image<f32> {
-        let wall = |p: &Point3<f64>| 1.0 + 0.05 * (9.0 * p.x).sin() * (7.0 * p.y).cos();
-        let depth = |[x, y]: &[f32; 2]| {
-            let ray = world_from_camera.rotation * Vector3::new(f64::from(*x), f64::from(*y), 1.0);
-            let origin = Point3::from(world_from_camera.translation.vector);
-            let mut depth = 1.0;
-            for _ in 0..50 {
-                let at = origin + ray * depth;
-                depth += (wall(&at) - at.z) / ray.z;
-            }
-            depth as f32
-        };
-        rays.rays().map(depth)
-    }
-
-    /// Where twelve views of it are taken.
-    fn poses() -> Vec<Pose> {
-        let pose = |k: usize| {
-            let around = k as f64 * 2.4;
-            let (x, y) = (around.cos(), around.sin());
-            let turn = increment(&Vector6::new(0.25 * y, -0.25 * x, 0.1 * x, 0.0, 0.0, 0.0));
-            let aside = Translation3::new(0.3 * x, 0.3 * y, -0.25 * (k % 3) as f64);
-            aside * turn
-        };
-        (0..12).map(pose).collect()
-    }
 
     /// The wall as a sensor with an error sees it.
     fn seen_with(error: &GrossError, rays: &RayGrid, poses: &[Pose]) -> Vec<(Image<f32>, Pose)> {
@@ -334,7 +299,7 @@ mod tests {
             let added = error
                 .range
                 .as_ref()
-                .map(|error| RangeError::of(|m| -error.at_m(m)));
+                .map(|error| RangeError::tabulated(|m| -error.at_m(m)));
             let longer = added.map_or_else(|| right.clone(), |added| added.corrected(&right, rays));
             let undone = error.rays.as_ref().map(|(_, order)| order.undone());
             let bent = undone.map_or_else(|| longer.clone(), |order| order.righted(&longer));
@@ -346,7 +311,7 @@ mod tests {
     /// A constant and a wiggle, metres.
     fn error_by_range(constant_m: f64, wiggle_m: f64) -> Option<RangeError> {
         let at_m = |range_m: f64| constant_m + wiggle_m * (TAU * range_m / 0.3123).sin();
-        (constant_m != 0.0 || wiggle_m != 0.0).then(|| RangeError::of(at_m))
+        (constant_m != 0.0 || wiggle_m != 0.0).then(|| RangeError::tabulated(at_m))
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What a sensor gets wrong, taken off the depth of a scan as well as it is known while the scan goes on, and, since the scan
 //! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 //!
-//! A Kinect II suffers from multipath, and from an error by range alone, a constant or more, and a decoder may have computed its depth
+//! A Kinect II suffers from multipath, and from an error by range alone, a constant and a wiggle, and a decoder may have computed its depth
 //! by the rays of the wrong rows; a Kinect I has a slow error of its depth and reads its rows one after the other. Only the frames of a
 //! whole scan tell all but multipath ([`RangeError`], [`DepthField`](crate::fusion::DepthField),
 //! [`RollingShutter`](crate::fusion::RollingShutter)). Pure: what is predicted of the frames is kept here as long as fusion holds them.
@@ -16,6 +16,8 @@ mod revision;
 mod settling;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod wavy_wall;
 
 pub use measured::{MeasuredDepth, MeasuredWhite};
 pub use ray_order::WrongRays;

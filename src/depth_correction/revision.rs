@@ -112,9 +112,10 @@ impl DepthCorrection {
         let plausible = asks_frames.then(|| self.plausible_white(fusion)).flatten();
         let start = plausible.or(self.recalibrated).or(self.live);
         let mut search = start.map(WhiteSearch::from);
-        let asked = may_revise.then(|| self.gross_error(fusion, has_multipath));
+        let is_freed_of_multipath = has_multipath && !self.predictions.0.is_empty();
+        let asked = may_revise.then(|| self.gross_error(fusion, is_freed_of_multipath));
         let mut gross = asked.flatten().unwrap_or_default();
-        // What is wrong by centimetres is put right before anything else is asked: a bent model tells nothing.
+        // What is wrong with all frames alike is put right before anything else is asked: a bent model tells nothing.
         let mut begins_at = usize::from(!gross.is_none());
         let (mut round, mut n_passes) = (0, 0);
         while round < self.fusion.max_revisions + begins_at {
@@ -217,9 +218,9 @@ impl DepthCorrection {
         is_as_close
     }
 
-    /// What the depth of a Kinect II's scan gets wrong before anything finer can be told; by range only without multipath, which looks like
-    /// it.
-    fn gross_error(&self, fusion: &Fusion, has_multipath: bool) -> Option<GrossError> {
+    /// What the depth of a Kinect II's scan gets wrong before anything finer can be told; by range only where multipath is taken off, which
+    /// looks like it.
+    fn gross_error(&self, fusion: &Fusion, is_freed_of_multipath: bool) -> Option<GrossError> {
         if self.info.sensor != Sensor::Kinect2 {
             return None;
         }
@@ -228,7 +229,7 @@ impl DepthCorrection {
             None => (WrongRays::UpsideDown, RayOrder::upside_down(&self.rays)),
         };
         let other_rays = Some(other_rays).filter(|(_, order)| order.shows());
-        let asks_range = has_multipath && self.fusion.range_error;
+        let asks_range = is_freed_of_multipath && self.fusion.range_error;
         if other_rays.is_none() && !asks_range {
             return None;
         }

@@ -22,6 +22,8 @@ const MAX_ERROR_M: f64 = 0.1;
 const FADE_M: f64 = 0.1;
 /// Steps of a table that is straight between them, metres.
 const TABLE_STEP_M: f64 = 0.005;
+/// Ranges in a metre that a measured error is stated at.
+const POINTS_PER_METRE: f64 = 100.0;
 
 impl RangeError {
     /// Through points of range and error, metres, by growing range.
@@ -38,12 +40,22 @@ impl RangeError {
         RangeError::through(vec![[0.0, error_m], [MAX_RANGE_M, error_m]])
     }
 
-    /// That which a function tells of a range, metres, at all ranges.
-    pub fn of(error_m: impl Fn(f64) -> f64) -> Self {
-        let n = (MAX_RANGE_M / TABLE_STEP_M) as u32;
-        let range_m = |step| f64::from(step) * TABLE_STEP_M;
-        let points = (0..=n).map(range_m).map(|range| [range, error_m(range)]);
-        RangeError::through(points.collect())
+    /// What a function tells of ranges from near to far, metres: in points as they are stated in a file, of whole micrometres.
+    pub fn stated(from_m: f64, to_m: f64, error_m: impl Fn(f64) -> f64) -> Self {
+        let [near, far] = [from_m, to_m].map(|range| (range * POINTS_PER_METRE).round() as u32);
+        let range_m = |k: u32| f64::from(k) / POINTS_PER_METRE;
+        let rounded = |error: f64| (1e6 * error).round() / 1e6;
+        let points = (near..=far.max(near)).map(range_m);
+        RangeError::through(points.map(|m| [m, rounded(error_m(m))]).collect())
+    }
+
+    /// What a function tells of all ranges, metres, in more points than a file may hold.
+    pub fn tabulated(error_m: impl Fn(f64) -> f64) -> Self {
+        RangeError::through(
+            table_ranges_m()
+                .map(|range| [range, error_m(range)])
+                .collect(),
+        )
     }
 
     /// How much too long a range is, metres.
@@ -95,14 +107,14 @@ impl RangeError {
 
     /// A depth image (metres, 0 is none) without it.
     pub fn corrected(&self, depth_m: &Image<f32>, rays: &RayGrid) -> Image<f32> {
-        let n = (MAX_RANGE_M / TABLE_STEP_M) as usize;
-        let table: Vec<f32> = (0..=n)
-            .map(|step| self.at_m(step as f64 * TABLE_STEP_M) as f32)
+        let table: Vec<f32> = table_ranges_m()
+            .map(|range| self.at_m(range) as f32)
             .collect();
+        let last = table.len() - 2;
         let pixels = depth_m.data().iter().zip(rays.rays().data());
         let right = pixels.map(|(&z, [x, y])| {
             let range_per_depth = (1.0 + x * x + y * y).sqrt();
-            let step = (z * range_per_depth / TABLE_STEP_M as f32).min((n - 1) as f32);
+            let step = (z * range_per_depth / TABLE_STEP_M as f32).min(last as f32);
             let before = step as usize;
             let share = step - before as f32;
             let too_long = (1.0 - share) * table[before] + share * table[before + 1];
@@ -144,6 +156,12 @@ impl RangeError {
             _ => Ok(()),
         }
     }
+}
+
+/// Ranges of a table, metres.
+fn table_ranges_m() -> impl Iterator<Item = f64> {
+    let n = (MAX_RANGE_M / TABLE_STEP_M) as u32;
+    (0..=n).map(|step| f64::from(step) * TABLE_STEP_M)
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! What a time-of-flight sensor gets wrong by range alone: its wiggle.
+//! What a time-of-flight sensor gets wrong by range alone: its wiggle, or what is left of it once the sines of its frequencies are taken
+//! off.
 //!
 //! The light of such a sensor is not modulated by a pure sine; its harmonics bend the phase, and depth is millimetres too long at one
 //! range and too short at another, alike in all pixels (Lindner and Kolb, *Lateral and depth calibration of PMD-distance sensors*,
@@ -32,8 +33,6 @@ const ROUNDS: usize = 3;
 /// An error of which one half of the views explains less of the other's disagreement is not believed. What multipath and tracking
 /// leave looks like 4 and 10 % on the recorded bust and relief, and to take that off helps neither; a wiggle of 1 mm is 21 and 24 %.
 const MIN_EXPLAINED: f64 = 0.15;
-/// Ranges in a metre that the error is stated at.
-const POINTS_PER_METRE: u32 = 100;
 
 /// The error that the views of a model, patch by patch, still show; `None` if one half of them does not show that of the other.
 pub(super) fn range_error(views: &[Vec<Sample>]) -> Option<RangeError> {
@@ -182,8 +181,7 @@ impl<'a> Differences<'a> {
 
     /// The error that the unknowns make.
     fn error(&self, unknowns: &DVector<f64>) -> RangeError {
-        let curve = &unknowns.as_slice()[1..];
-        RangeError::through(self.spline.points(curve, POINTS_PER_METRE))
+        self.spline.error(&unknowns.as_slice()[1..])
     }
 }
 

@@ -1,6 +1,6 @@
 //! A cubic spline of the range, of which neither a constant nor a share of the range is left.
 
-use crate::robust::quantile;
+use crate::{geometry::RangeError, robust::quantile};
 
 /// The parts of a spline between two ranges.
 pub(super) struct RangeSpline {
@@ -69,18 +69,12 @@ impl RangeSpline {
         row
     }
 
-    /// Range and value at so many ranges a metre, from near to far, of parts with these coefficients; metres, whole micrometres.
-    pub(super) fn points(&self, coefficients: &[f64], per_metre: u32) -> Vec<[f64; 2]> {
-        let per_metre = f64::from(per_metre);
-        let [near, far] = [self.from_m, self.to_m].map(|range| (range * per_metre).round() as u32);
-        let point = |k: u32| {
-            let range = f64::from(k) / per_metre;
-            let parts = self.row(range);
-            let parts = parts.iter().zip(coefficients);
-            let value: f64 = parts.map(|(part, by)| part * by).sum();
-            [range, (1e6 * value).round() / 1e6]
-        };
-        (near..=far).map(point).collect()
+    /// The error that parts with these coefficients, metres, make.
+    pub(super) fn error(&self, coefficients: &[f64]) -> RangeError {
+        RangeError::stated(self.from_m, self.to_m, |range_m| {
+            let parts = self.row(range_m).into_iter().zip(coefficients);
+            parts.map(|(part, by)| part * by).sum()
+        })
     }
 
     /// The four parts that are not zero at a range, lines included.

@@ -133,7 +133,7 @@ fn print(measured: &MeasuredDepth) -> io::Result<()> {
     if measured.constant_m != 0.0 {
         writeln!(
             Stdout,
-            "the scan shows that all ranges alike are off by {:+.1} mm, within 6 mm or so",
+            "the scan shows that all ranges alike are off by {:+.1} mm, within 5 mm or so",
             1e3 * measured.constant_m
         )?;
     }
