@@ -77,8 +77,8 @@ impl<'a> Agreement<'a> {
             let costs = self.pairs(views, index).map(|pair| cost(pair.apart_m));
             costs.fold((0.0, 0), |(sum, n), cost| (sum + cost, n + 1))
         };
-        let each = (0..views.len()).into_par_iter().map(of_view);
-        let (sum, n) = each.reduce(|| (0.0, 0), |(a, m), (b, n)| (a + b, m + n));
+        let each: Vec<(f64, usize)> = (0..views.len()).into_par_iter().map(of_view).collect();
+        let (sum, n) = each.iter().fold((0.0, 0), |(a, m), (b, n)| (a + b, m + n));
         (n >= MIN_PAIRS).then(|| sum / n as f64)
     }
 

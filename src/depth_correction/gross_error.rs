@@ -41,9 +41,9 @@ const MAX_SHARE_OF_WIGGLE: f64 = 0.92;
 /// There is a constant if they disagree by no more than this share of what a wiggle alone leaves: 0.88 to 0.98 where it was of 12 to 20 mm,
 /// 0.991 to 1.004 where none was.
 const MAX_SHARE_OF_CONSTANT: f64 = 0.99;
-/// What is believed of one, metres: a smaller one is not told from the multipath that is left before there is a model (which looks like one
-/// of up to 3.5 mm, in a bowl of 7), and a larger one no device has.
-const BELIEVED_M: RangeInclusive<f64> = 0.008..=0.04;
+/// What is believed of one, metres: a smaller one is not told from what the live correction of multipath leaves, or takes off too much (which
+/// looks like one of up to 4 mm, in a bowl of 7, and in twelve frames of a sensor without multipath of 8), and a larger one no device has.
+const BELIEVED_M: RangeInclusive<f64> = 0.01..=0.04;
 
 /// Views of a scan that are compared.
 pub(super) struct Views<'a> {
