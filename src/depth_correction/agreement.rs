@@ -22,7 +22,7 @@ pub(super) const SCALE_M: f64 = 0.002;
 /// Turns of motions and planes until a view lies as well as it can on itself as it was.
 const MOTION_ROUNDS: usize = 3;
 /// Motions that patches do not hold, as along a wall, are damped by this share of all that they hold.
-const DAMPING: f64 = 1e-6;
+pub(super) const DAMPING: f64 = 1e-6;
 
 /// Compares the views of one camera.
 pub(super) struct Agreement<'a> {

@@ -5,7 +5,7 @@
 //! A wiggle is a sum of sines whose periods the sensor's frequencies give, not any smooth curve: but for the scale of the scene, which
 //! no scan tells, a constant is a share of the range, and a curve that may grow with range is one.
 
-use super::agreement::{Agreement, Pair, SCALE_M, View};
+use super::agreement::{Agreement, DAMPING, Pair, SCALE_M, View};
 use crate::{
     geometry::{Pose, RangeError, increment, point_to_plane_row},
     robust::quantile,
@@ -26,8 +26,6 @@ const PRIOR_M: f64 = 0.005;
 /// which counts as much as so many pairs, a tenth of them: those of one surface share their mistakes, and the parts are nearly alike over
 /// the ranges that are seen. With 100 a wiggle of 3 mm is told as 3.6, with 100 000 as 3.0 and one of 1 mm as 0.94.
 const PRIOR_PAIRS: f64 = 30_000.0;
-/// Motions that patches do not hold, as along a wall, are damped by this share of all that they hold.
-const DAMPING: f64 = 1e-6;
 /// Pairs that lie farther apart count for less than half, step by step, as multiples of what they do in the end. The last step changes a
 /// constant by 0.2 mm at most.
 const SCALES: [f64; 6] = [4.0, 2.0, 1.0, 1.0, 1.0, 1.0];
