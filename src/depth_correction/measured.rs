@@ -7,7 +7,7 @@ use crate::{
     fusion::{Fusion, GoesOn, Keyframe},
     geometry::{Pose, RangeError},
     interreflection::WhiteLevel,
-    multipath::{Compared, Evidence, RangeBias, Seen},
+    multipath::{Evidence, RangeBias, Seen},
 };
 use depth_camera::Image;
 use rayon::prelude::*;
@@ -47,7 +47,7 @@ impl DepthCorrection {
     pub fn measure(&self, fusion: &Fusion, goes_on: &GoesOn) -> MeasuredDepth {
         let settled = self.settled(fusion, goes_on);
         let shown = settled.revised.as_ref().and_then(Revised::range_error);
-        let range_error = together(self.range.as_ref(), shown.as_ref(), RangeError::plus);
+        let range_error = together(self.range.as_ref(), shown, RangeError::plus);
         let revised = settled.revised.as_ref();
         MeasuredDepth {
             constant_m: revised.map_or(0.0, Revised::constant_m),
@@ -62,10 +62,7 @@ impl DepthCorrection {
         let revised = settled.revised.as_ref();
         let fused_again = revised.map_or(fusion, |revised| &revised.fusion);
         let white = revised.map_or(self.live, |revised| revised.known.white)?;
-        let asked = || {
-            let views = self.compared(fused_again, Some(white))?;
-            self.evidence(&views, Some(white))
-        };
+        let asked = || self.evidence(fused_again, Some(white));
         Some(MeasuredWhite {
             white,
             relative_sigma: settled.search?.relative_sigma(white),
@@ -86,8 +83,8 @@ impl DepthCorrection {
         WhiteLevel::of_one_light(asked.filter_map(of_frame).collect())
     }
 
-    /// The views of a scan of a sensor with multipath that was fused with a white level.
-    pub(super) fn compared(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> Option<Compared> {
+    /// What the views of a scan of a sensor with multipath tell that was fused with a white level.
+    pub(super) fn evidence(&self, fusion: &Fusion, white: Option<WhiteLevel>) -> Option<Evidence> {
         let multipath = self.multipath.as_ref()?;
         let frames = fusion.keyframes();
         let every = frames.len().div_ceil(MAX_VIEWS).max(1);
@@ -111,12 +108,7 @@ impl DepthCorrection {
                 bias,
             })
             .collect();
-        Some(multipath.compare(&seen, white, |point| fusion.signed_distance(point)))
-    }
-
-    /// What views that were fused with a white level tell of it.
-    pub(super) fn evidence(&self, views: &Compared, white: Option<WhiteLevel>) -> Option<Evidence> {
-        let evidence = views.evidence()?;
+        let evidence = multipath.evidence(&seen, white, |point| fusion.signed_distance(point))?;
         tracing::info!(
             white_level = white.map(|white| white.0),
             strength_change = evidence.slope,

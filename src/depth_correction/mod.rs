@@ -180,10 +180,6 @@ impl DepthCorrection {
                 let bias = nearest.bias_on(model, multipath, here, world_from_camera);
                 let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
                 let raw = righted(&raw).unwrap_or(raw);
-                let raw = match &known.range {
-                    Some(range) => range.corrected(&raw, &self.rays),
-                    None => raw,
-                };
                 multipath.corrected(&raw, &bias, None, known.white)
             }
             None => righted(depth_m).unwrap_or_else(|| depth_m.clone()),

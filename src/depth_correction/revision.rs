@@ -11,7 +11,7 @@ use crate::{
     },
     geometry::{CameraModel, Motion, Pose, RangeError},
     interreflection::WhiteLevel,
-    multipath::{Compared, Evidence, WhiteSearch},
+    multipath::{Evidence, WhiteSearch},
 };
 use depth_camera::Sensor;
 use rayon::prelude::*;
@@ -27,8 +27,8 @@ pub struct Revised {
 
 impl Revised {
     /// The error by range alone that the scan showed, beside what is known of the device.
-    pub fn range_error(&self) -> Option<RangeError> {
-        self.known.range_error()
+    pub fn range_error(&self) -> Option<&RangeError> {
+        self.known.gross.range.as_ref()
     }
 
     /// How much of that is the same at all ranges, metres.
@@ -48,20 +48,10 @@ pub(super) struct Known {
     pub(super) gross: GrossError,
     /// `None` is no multipath.
     pub(super) white: Option<WhiteLevel>,
-    /// What was told later of the error by range, beside that of `gross`; `None` is no more of it.
-    pub(super) range: Option<RangeError>,
     /// `None` is no slow error.
     pub(super) field: Option<DepthField>,
     /// `None` is all rows at once.
     pub(super) shutter: Option<RollingShutter>,
-}
-
-impl Known {
-    /// All of the error by range.
-    fn range_error(&self) -> Option<RangeError> {
-        let (gross, finer) = (self.gross.range.as_ref(), self.range.as_ref());
-        together(gross, finer, RangeError::plus)
-    }
 }
 
 /// How far revising a scan came.
@@ -136,18 +126,8 @@ impl DepthCorrection {
             let mut has_more = is_gross || has_multipath && round < MODEL_ROUNDS + begins_at;
             let asks_sensor = !is_gross && round < SENSOR_ROUNDS + begins_at;
             has_more |= asks_sensor && self.add_what_frames_show(current, &mut known);
-            // A scan that shows none at first shows none later, and asking takes a second.
-            let may_show_range = round == begins_at || known.range.is_some();
-            let asks_range = asks_sensor && self.fusion.range_error && may_show_range;
-            let asks_white = round > begins_at && revised.is_some() && !self.is_measured;
-            let is_asked = has_multipath && (asks_range || asks_white);
-            let compared = is_asked.then(|| self.compared(current, known.white));
-            let mut views = compared.flatten();
-            let known_range = known.range.clone();
-            let has_range = asks_range && add_what_views_show(&mut views, &mut known);
-            has_more |= has_range;
-            if asks_white {
-                told = views.and_then(|views| self.evidence(&views, known.white));
+            if round > begins_at && revised.is_some() && has_multipath && !self.is_measured {
+                told = self.evidence(current, known.white);
                 if let Some((evidence, search)) = told.zip(search.as_mut()) {
                     let next = search.next(known.white, evidence);
                     has_more |= !next.will_do;
@@ -157,15 +137,10 @@ impl DepthCorrection {
             if !has_more {
                 break;
             }
-            let without_range = has_range.then(|| Known {
-                range: known_range,
-                ..known.clone()
-            });
             n_passes = round + 1;
-            let fuse =
-                |known| self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
+            let again = self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
             let is_good = |again: &Revised| !is_gross || self.lies_as_close(fusion, &again.fusion);
-            match fuse(known).or_else(|| fuse(without_range?)).filter(is_good) {
+            match again.filter(is_good) {
                 Some(again) => (revised, told) = (Some(again), None),
                 // Put right it loses its track or lies farther apart, and is taken with less of it put right, or as it is.
                 None if is_gross => {
@@ -175,11 +150,7 @@ impl DepthCorrection {
                     };
                     begins_at = round + 1 + usize::from(!gross.is_none());
                 }
-                None => {
-                    // With an error of range taken off they tell of a scan that there is not.
-                    told = told.filter(|_| !has_range);
-                    break;
-                }
+                None => break,
             }
             round += 1;
         }
@@ -325,7 +296,7 @@ impl DepthCorrection {
         // Later ones lie near where they did, but in a long scan, of which some were asked so far.
         let is_first = revised.is_none() || frames.len() > self.max_sought_by;
         let was_wrong = is_first && !known.gross.is_none();
-        let slid = was_wrong || known.shutter.is_some() || known.range.is_some();
+        let slid = was_wrong || known.shutter.is_some();
         let reach = (slid && !is_given).then_some(TRACKED_ANEW_REACH);
         let corrected = |index: usize| {
             let (frame, before) = (frames.get(index)?, &path[index].world_from_camera);
@@ -384,7 +355,11 @@ impl DepthCorrection {
             white_level = known.white.map(|white| white.0),
             rays_righted = known.gross.rays.is_some(),
             constant_mm = 1e3 * known.gross.constant_m,
-            range_error_mm = known.range_error().map(|error| 1e3 * error.largest_m()),
+            range_error_mm = known
+                .gross
+                .range
+                .as_ref()
+                .map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),
             "fused again with its depth corrected"
@@ -395,16 +370,6 @@ impl DepthCorrection {
             known,
         })
     }
-}
-
-/// Takes off views what they still show of an error by range, and adds it to what is known; whether they do.
-fn add_what_views_show(views: &mut Option<Compared>, known: &mut Known) -> bool {
-    let Some(shown) = views.as_ref().and_then(Compared::range_error) else {
-        return false;
-    };
-    *views = views.take().map(|views| views.without(&shown));
-    known.range = together(known.range.as_ref(), Some(&shown), RangeError::plus);
-    true
 }
 
 /// What was known of an error and what shows beside it, as one; `None` if there is neither.

@@ -7,8 +7,7 @@
 //! zero is exact.
 
 use super::RangeBias;
-use super::range_error::range_error;
-use crate::geometry::{MotionEquations, Pose, RangeError, RayGrid, cell_of, point_to_plane_row};
+use crate::geometry::{MotionEquations, Pose, RayGrid, cell_of, point_to_plane_row};
 use crate::interreflection::WhiteLevel;
 use crate::robust::{Tukey, median_absolute_deviation};
 use depth_camera::Image;
@@ -47,11 +46,11 @@ const STEP_PX: usize = 4;
 /// Side of the places at which views are compared, metres.
 const PLACE_M: f64 = 0.02;
 /// Fewer views of a place and there is no mean to differ from.
-pub(super) const MIN_VIEWS: usize = 3;
+const MIN_VIEWS: usize = 3;
 /// More slanting patches are not compared.
 const MIN_COSINE: f64 = 0.3;
 /// Fewer patches in a view and its pose takes up all that there is.
-pub(super) const MIN_PATCHES: usize = 50;
+const MIN_PATCHES: usize = 50;
 /// Motions that the patches of a view do not hold are damped by this share of all that they hold. What is predicted and what is found
 /// lose the same motions, so that it need only outweigh rounding.
 const DAMPING: f64 = 1e-9;
@@ -60,61 +59,33 @@ const ROUNDS: usize = 15;
 
 /// A patch of a view on the model.
 #[derive(Clone, Copy)]
-pub(super) struct Sample {
-    pub(super) place: [i32; 3],
-    pub(super) point: Point3<f64>,
-    pub(super) normal: Vector3<f64>,
-    pub(super) cosine: f64,
-    /// How far from the camera it was measured, with its multipath, metres.
-    pub(super) range_m: f64,
+struct Sample {
+    place: [i32; 3],
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+    cosine: f64,
     /// Bias along the normal for each unit of strength, metres.
-    pub(super) beta_m: f64,
+    beta_m: f64,
     /// How deep below the model's surface it lies, metres.
-    pub(super) depth_m: f64,
+    depth_m: f64,
 }
 
-/// The views of a model, patch by patch.
-pub struct Compared {
-    views: Vec<Vec<Sample>>,
-}
-
-impl Compared {
-    /// Views of a model that were fused with the multipath of `white`; `signed_distance` gives distance (m, positive
-    /// outside) and gradient of the model at a point of the world.
-    pub(super) fn new(
-        views: &[Seen],
-        rays: &RayGrid,
-        white: Option<WhiteLevel>,
-        signed_distance: impl Fn(&Point3<f64>) -> Option<(f64, Vector3<f64>)> + Sync,
-    ) -> Self {
-        let of_view = |view: &Seen| samples(view, rays, white, &signed_distance);
-        Compared {
-            views: views.par_iter().map(of_view).collect(),
-        }
+/// What views of a model tell of the strength of multipath, fused with that of `white`; `signed_distance` gives distance (m, positive
+/// outside) and gradient of the model at a point of the world. `None` where too little was seen.
+pub(super) fn evidence(
+    views: &[Seen],
+    rays: &RayGrid,
+    white: Option<WhiteLevel>,
+    signed_distance: impl Fn(&Point3<f64>) -> Option<(f64, Vector3<f64>)> + Sync,
+) -> Option<Evidence> {
+    let of_view = |view: &Seen| samples(view, rays, white, &signed_distance);
+    let views: Vec<Vec<Sample>> = views.par_iter().map(of_view).collect();
+    let means = place_means(&views);
+    let (mut x, mut y) = (Vec::new(), Vec::new());
+    for view in &views {
+        without_motion(view, &means, &mut x, &mut y);
     }
-
-    /// What they tell of the strength of multipath; `None` where too little was seen.
-    pub fn evidence(&self) -> Option<Evidence> {
-        let means = place_means(&self.views);
-        let (mut x, mut y) = (Vec::new(), Vec::new());
-        for view in &self.views {
-            without_motion(view, &means, &mut x, &mut y);
-        }
-        robust_slope(&x, &y)
-    }
-
-    /// The error that depends on range alone which they still show; `None` if it is not to be believed.
-    pub fn range_error(&self) -> Option<RangeError> {
-        range_error(&self.views)
-    }
-
-    /// The same views with an error of range taken off.
-    pub fn without(mut self, error: &RangeError) -> Self {
-        for sample in self.views.iter_mut().flatten() {
-            sample.depth_m -= error.at_m(sample.range_m) * sample.cosine;
-        }
-        self
-    }
+    robust_slope(&x, &y)
 }
 
 fn samples(
@@ -156,7 +127,6 @@ fn samples(
             point,
             normal,
             cosine,
-            range_m: towards.norm() + f64::from(bounce.bias_m(white)),
             beta_m: bounce.bias_by_strength_m(white) * cosine,
             depth_m: below / f64::from(n),
         })
@@ -194,8 +164,7 @@ fn without_motion(
     if compared.len() < MIN_PATCHES {
         return;
     }
-    let patches = compared.iter().map(|(sample, _)| (*sample, 1.0));
-    let Some(motion) = motion_of(patches) else {
+    let Some(motion) = motion_of(compared.iter().map(|(sample, _)| *sample)) else {
         return;
     };
     let values = compared
@@ -206,15 +175,15 @@ fn without_motion(
     y.extend(motion.left_of(&found));
 }
 
-/// How patches of a view, each with its weight, hold it against motions; `None` if they do not.
-pub(super) fn motion_of<'a>(
-    patches: impl ExactSizeIterator<Item = (&'a Sample, f64)> + Clone,
+/// How patches of a view hold it against motions; `None` if they do not.
+fn motion_of<'a>(
+    patches: impl ExactSizeIterator<Item = &'a Sample> + Clone,
 ) -> Option<MotionEquations> {
-    let points = patches.clone().map(|(sample, _)| sample.point.coords);
+    let points = patches.clone().map(|sample| sample.point.coords);
     let middle = points.sum::<Vector3<f64>>() / patches.len() as f64;
-    let rows = patches.map(|(sample, weight)| {
+    let rows = patches.map(|sample| {
         let row = point_to_plane_row(&(sample.point.coords - middle), &sample.normal);
-        (row, weight)
+        (row, 1.0)
     });
     MotionEquations::new(rows.collect(), DAMPING)
 }

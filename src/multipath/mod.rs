@@ -17,11 +17,9 @@ mod bounce;
 mod evidence;
 mod params;
 mod range_bias;
-mod range_error;
-mod range_spline;
 mod search;
 
-pub use evidence::{Compared, Evidence, Seen};
+pub use evidence::{Evidence, Seen};
 pub use params::MultipathParams;
 pub use range_bias::RangeBias;
 pub use search::{NextWhite, WhiteSearch};
@@ -131,15 +129,15 @@ impl Multipath {
         bias.coarsened(self.grid.cells())
     }
 
-    /// Compares the views of a scan that was fused with the multipath of `white`; `signed_distance` gives distance (m, positive
-    /// outside) and gradient of the model at a point of the world.
-    pub fn compare(
+    /// What the views of a scan tell that was fused with the multipath of `white`; `signed_distance` gives distance (m, positive
+    /// outside) and gradient of the model at a point of the world. `None` where too little was seen.
+    pub fn evidence(
         &self,
         views: &[Seen],
         white: Option<WhiteLevel>,
         signed_distance: impl Fn(&Point3<f64>) -> Option<(f64, Vector3<f64>)> + Sync,
-    ) -> Compared {
-        Compared::new(views, self.grid.rays(), white, signed_distance)
+    ) -> Option<Evidence> {
+        evidence::evidence(views, self.grid.rays(), white, signed_distance)
     }
 
     /// A depth image (metres, 0 is none) with its bias changed from that of one white level to that of another; `None`

@@ -329,8 +329,7 @@ fn views_of_a_biased_scan_tell_that_there_is_multipath_and_corrected_ones_that_t
                 bias,
             })
             .collect();
-        let compared = multipath.compare(&views, white, |point| fusion.signed_distance(point));
-        let evidence = compared.evidence();
+        let evidence = multipath.evidence(&views, white, |point| fusion.signed_distance(point));
         evidence.expect("views overlap").slope
     };
     let truth = strength(Some(WHITE));

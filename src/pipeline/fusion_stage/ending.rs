@@ -168,11 +168,13 @@ impl FusionStage {
             return;
         };
         if let Some(error) = revised.range_error() {
+            // A constant is the same everywhere.
+            let is_of_ranges = revised.constant_m() == 0.0;
             tracing::warn!(
                 largest_mm = 1e3 * error.largest_m(),
                 constant_mm = 1e3 * revised.constant_m(),
-                from_m = error.from_m(),
-                to_m = error.to_m(),
+                from_m = is_of_ranges.then(|| error.from_m()),
+                to_m = is_of_ranges.then(|| error.to_m()),
                 "depth is off by its range: `relief calibrate depth` with a recording of this scan lets tracking know"
             );
         }
