@@ -36,6 +36,33 @@ impl Revised {
         self.known.gross.constant_m
     }
 
+    /// What was wrong with the depth of all frames alike, and was put right, in sentences for the operator.
+    pub fn put_right(&self) -> Vec<String> {
+        let rays = self.wrong_rays().map(|wrong| wrong.to_string());
+        let of_range = self.range_error().map(|error| {
+            let constant_m = self.constant_m();
+            let too = if constant_m > 0.0 { "long" } else { "short" };
+            let constant = (constant_m != 0.0)
+                .then(|| format!("{:.1} mm too {too} at all distances", 1e3 * constant_m.abs()));
+            let beside_m = error.plus(&RangeError::constant(-constant_m)).largest_m();
+            let by_turns = format!("up to {:.1} mm too long or short by turns", 1e3 * beside_m);
+            let wiggle = match constant_m == 0.0 {
+                true => {
+                    let (from_m, to_m) = (error.from_m(), error.to_m());
+                    Some(format!("{by_turns} from {from_m:.2} to {to_m:.2} m"))
+                }
+                false => Some(by_turns).filter(|_| beside_m >= MIN_TOLD_M),
+            };
+            let both: Vec<String> = constant.into_iter().chain(wiggle).collect();
+            format!(
+                "depth was {}, and was put right: `relief calibrate depth` with a recording of this \
+                 scan lets tracking know",
+                both.join(", and ")
+            )
+        });
+        rays.into_iter().chain(of_range).collect()
+    }
+
     /// How depth was computed, where that was not by the rays of its pixels, and it was put right.
     pub fn wrong_rays(&self) -> Option<WrongRays> {
         self.known.gross.rays.as_ref().map(|(wrong, _)| *wrong)
@@ -75,6 +102,8 @@ pub(super) const MAX_SOUGHT_BY: usize = 300;
 const MAX_MISFIT_GROWTH: f64 = 1.02;
 /// A revision that loses more than this share of the frames is not used.
 const MAX_LOST_SHARE: f64 = 0.05;
+/// A wiggle of less, metres, is not worth a word beside a constant.
+const MIN_TOLD_M: f64 = 1e-4;
 /// A field that changes by less, metres at a metre, is not worth fusing again.
 const MIN_FIELD_M: f64 = 1e-4;
 /// How far a frame may lie from where it would by its motion since the one before, where rows are put right or an error of range was

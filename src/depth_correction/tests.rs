@@ -295,6 +295,12 @@ fn a_wiggle_is_told_by_the_views_of_a_scan_and_taken_off() {
             .is_some_and(|error| error.largest_m() > 0.002)
     );
     assert_eq!(told.constant_m(), 0.0, "a wiggle passed for it");
+    let said = told.put_right();
+    assert!(
+        matches!(&said[..], [one] if one.starts_with("depth was up to ") && one.contains(" mm too long or short by turns from 0.")),
+        "{said:?}"
+    );
+    assert!(without.put_right().is_empty());
     let after = off_m(&told.fusion, &truths);
     let best = off_m(&without.fusion, &truths);
     assert!(
@@ -345,6 +351,11 @@ fn a_constant_of_the_range_is_told_by_the_views_of_a_scan_and_taken_off() {
     let (mut correction, fusion) = scanned_as(&frames, &calibration(1.0), deliver, track);
     let revised = correction.revise(&fusion, &|_| true).expect("it is wrong");
     assert_eq!(revised.wrong_rays(), None);
+    let said = revised.put_right();
+    assert!(
+        matches!(&said[..], [one] if one.starts_with("depth was ") && one.contains(" mm too long at all distances")),
+        "{said:?}"
+    );
     let told = revised.range_error().expect("a constant");
     assert!(
         (told.at_m(0.8) - CONSTANT_M).abs() < 0.007,
@@ -422,6 +433,7 @@ fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
     assert_eq!((right.wrong_rays(), right.constant_m()), (None, 0.0));
     let (fusion, righted) = revised(bent);
     assert_eq!(righted.wrong_rays(), Some(WrongRays::UpsideDown));
+    assert_eq!(righted.put_right(), [WrongRays::UpsideDown.to_string()]);
     assert_eq!(righted.constant_m(), 0.0);
     let before = off_m(&fusion, &truths);
     let (after, best) = (

@@ -51,8 +51,8 @@ pub struct FusionParams {
     /// Whether depth of a Kinect II was computed with the rays of its image upside down, as libfreenect2's CPU and OpenGL decoders do, and
     /// is to be put right from the first frame; a scan tells it at its end.
     pub rays_upside_down: bool,
-    /// How often a scan may be fused again at its end with what it has told of its depth; beside that once or twice to put a constant and
-    /// rays right, and a Kinect II's scan of many frames, of which a part tells, once more with all of them.
+    /// How often a scan may be fused again at its end with what it has told of its depth; beside that once or twice to put a constant,
+    /// a wiggle and rays right, and a Kinect II's scan of many frames, of which a part tells, once more with all of them.
     pub max_revisions: usize,
     /// Polishing of given poses.
     pub polish: PolishParams,

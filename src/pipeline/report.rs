@@ -206,6 +206,7 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
     if unaccounted != 0 {
         warnings.push(format!("{unaccounted} frames are unaccounted for"));
     }
+    warnings.extend_from_slice(&endings.fusion.put_right);
     warnings.extend(endings.fusion.refusal.clone());
     let unimproved = endings.fusion.unimproved_reason.as_ref();
     warnings.extend(unimproved.map(|reason| format!("base.ply is not improved: {reason}")));

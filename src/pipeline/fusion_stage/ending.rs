@@ -167,19 +167,9 @@ impl FusionStage {
         let Some(revised) = revised else {
             return;
         };
-        if let Some(error) = revised.range_error() {
-            // A constant is the same everywhere.
-            let is_of_ranges = revised.constant_m() == 0.0;
-            tracing::warn!(
-                largest_mm = 1e3 * error.largest_m(),
-                constant_mm = 1e3 * revised.constant_m(),
-                from_m = is_of_ranges.then(|| error.from_m()),
-                to_m = is_of_ranges.then(|| error.to_m()),
-                "depth is off by its range: `relief calibrate depth` with a recording of this scan lets tracking know"
-            );
-        }
-        if let Some(wrong) = revised.wrong_rays() {
-            tracing::warn!("{wrong}");
+        for sentence in revised.put_right() {
+            tracing::warn!("{sentence}");
+            self.summary.put_right.push(sentence);
         }
         for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
             let time_secs = snapshot.device_time_secs;

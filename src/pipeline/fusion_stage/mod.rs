@@ -158,6 +158,8 @@ pub struct FusionSummary {
     pub no_surface_reason: Option<String>,
     /// Why the scan was not improved at its end; `None` if it was tried in full.
     pub unimproved_reason: Option<String>,
+    /// What was wrong with the depth of all frames alike, and was put right, in sentences for the operator.
+    pub put_right: Vec<String>,
     /// Length of the camera's path, metres.
     pub path_length_m: f64,
     /// The scan; `None` if nothing was fused.
