@@ -135,7 +135,7 @@ impl Fusion {
                 changed.push(block);
             }
         }
-        let min_weight = self.params.min_surface_weight as f32;
+        let min_weight = self.params.surface_weight();
         let voxels = Voxels::of_blocks(self.eye.arch, volume, &changed, min_weight);
         for (&block, voxels) in changed.iter().zip(voxels) {
             live.voxels[block as usize] = voxels;

@@ -338,7 +338,7 @@ impl Fusion {
 
     /// The model's surface, world frame.
     pub fn mesh(&self) -> TriMesh {
-        let min_weight = self.params.min_surface_weight as f32;
+        let min_weight = self.params.surface_weight();
         marching_cubes::marching_cubes(self.eye.arch, &self.fused.volume, min_weight)
     }
 

@@ -45,7 +45,7 @@ impl Fusion {
         if !is_whole || narrow.band.refused().n_over_budget > 0 {
             return 0;
         }
-        let min_weight = params.min_surface_weight as f32;
+        let min_weight = params.surface_weight();
         let mesh = marching_cubes::marching_cubes(self.eye.arch, &narrow.volume, min_weight);
         let thin = bricks_of_thin_parts(&mesh, params.voxel_size_m, params.truncation_m());
         self.volume_number += usize::from(!thin.is_empty());
