@@ -34,6 +34,8 @@ pub(super) struct Agreement<'a> {
 pub(super) struct View {
     world_from_camera: Pose,
     patches: Vec<Option<DepthPatch>>,
+    /// How much longer than the camera's the focal length is by which patches were put where they are, as a share.
+    longer_focus: f64,
 }
 
 /// A patch of one view, and that of another one on the same surface.
@@ -66,6 +68,7 @@ impl<'a> Agreement<'a> {
         let patch = |cell: usize| DepthPatch::fit(depth_m, self.rays, square(cell));
         View {
             world_from_camera: *world_from_camera,
+            longer_focus: 0.0,
             patches: (0..self.cells.n_cells()).map(patch).collect(),
         }
     }
@@ -99,7 +102,8 @@ impl<'a> Agreement<'a> {
             patches.filter_map(move |patch| {
                 let at = other_from_view * patch.centre;
                 let camera = self.rays.camera();
-                let pixel = camera.project(&at);
+                let wider = 1.0 + other.longer_focus;
+                let pixel = camera.project(&Point3::new(wider * at.x, wider * at.y, at.z));
                 let pixel = pixel.filter(|pixel| camera.contains(pixel, 0.0))?;
                 let cell = self.cells.cell_of((pixel.x as usize, pixel.y as usize))?;
                 let seen = other.patches[cell].as_ref()?;
@@ -125,6 +129,19 @@ fn cost(apart_m: f64) -> f64 {
 }
 
 impl View {
+    /// The same seen with a focal length that is longer by a share: narrower, and as deep.
+    pub(super) fn with_longer_focus(mut self, by: f64) -> Self {
+        let wider = 1.0 + by;
+        let across = Vector3::new(wider, wider, 1.0);
+        for patch in self.patches.iter_mut().flatten() {
+            patch.centre.coords.component_div_assign(&across);
+            patch.normal.component_mul_assign(&across);
+            patch.normal /= patch.normal.norm();
+        }
+        self.longer_focus = by;
+        self
+    }
+
     /// How far its patches are, metres.
     pub(super) fn ranges_m(&self) -> impl Iterator<Item = f64> + '_ {
         let patches = self.patches.iter().flatten();

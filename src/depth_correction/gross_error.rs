@@ -45,6 +45,17 @@ const MAX_SHARE_OF_CONSTANT: f64 = 0.99;
 /// looks like one of up to 4 mm, in a bowl of 7, and in twelve frames of a sensor without multipath of 8), and a larger one no device has.
 const BELIEVED_M: RangeInclusive<f64> = 0.01..=0.04;
 
+/// A focal length is believed to be another from this share on: of lenses that are as they are said to be −0.2 to 1.1 % is told, since round
+/// surfaces, and the slow error of depth, look like a lens that is longer.
+const MIN_FOCAL: f64 = 0.012;
+/// Once it is another, so much more is, too.
+const MIN_FURTHER_FOCAL: f64 = 0.004;
+/// No lens is farther off.
+const MAX_FOCAL: f64 = 0.05;
+/// It is another one if views disagree by no more than this share with it: a wider scene lies farther apart in itself, so that of one that is
+/// 2 % shorter they hardly tell by that.
+const MAX_SHARE_OF_FOCAL: f64 = 1.005;
+
 /// Views of a scan that are compared.
 pub(super) struct Views<'a> {
     /// Depth in metres, and world from camera.
@@ -59,6 +70,8 @@ pub(super) struct Views<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Fit {
     curve: Curve,
+    /// By how much of itself the focal length is longer than it is said to be.
+    focal: f64,
     disagreement: f64,
 }
 
@@ -177,6 +190,29 @@ impl<'a> Views<'a> {
         }
     }
 
+    /// By how much of itself the focal length is longer than the one by which they were seen, which may have been found to be another than
+    /// it is said to be; `None` where that is not to be believed.
+    pub(super) fn longer_focus(&self, is_another: bool) -> Option<f64> {
+        let seen = self.in_order(None);
+        let told = self.fit(&seen, Asked::FocalLength, true)?;
+        let as_it_is = self.fit(&seen, Asked::Nothing, true)?;
+        let share = told.disagreement / as_it_is.disagreement;
+        let least = if is_another {
+            MIN_FURTHER_FOCAL
+        } else {
+            MIN_FOCAL
+        };
+        let is_believed =
+            (least..=MAX_FOCAL).contains(&told.focal.abs()) && share <= MAX_SHARE_OF_FOCAL;
+        tracing::info!(
+            longer_percent = 100.0 * told.focal,
+            share,
+            is_believed,
+            "focal length: how much longer it is by how views of one surface agree"
+        );
+        is_believed.then_some(told.focal)
+    }
+
     /// What they tell, their rays in one order, in which they are best fitted by a `wiggle`; `None` if too few see one surface.
     fn told(&self, ordered: &Ordered, wiggle: Fit) -> Option<Told> {
         let fit = |asked| self.fit(ordered, asked, !self.are_given);
@@ -219,17 +255,23 @@ impl<'a> Views<'a> {
             are_moved,
             asked,
         };
-        let (curve, views) = settling.settled(ordered.poses.clone(), |curve, poses| {
-            let error = curve.at_all_ranges();
+        let (mistake, views) = settling.settled(ordered.poses.clone(), |mistake, poses| {
+            let error = mistake.curve.at_all_ranges();
             let view = |(depth_m, pose): (&Cow<Image<f32>>, &Pose)| {
-                self.agreement
-                    .view(&error.corrected(depth_m, self.grid), pose)
+                let view = self
+                    .agreement
+                    .view(&error.corrected(depth_m, self.grid), pose);
+                match mistake.focal == 0.0 {
+                    true => view,
+                    false => view.with_longer_focus(mistake.focal),
+                }
             };
             let views = ordered.depths_m.par_iter().zip(poses);
             views.map(view).collect()
         })?;
         Some(Fit {
-            curve,
+            curve: mistake.curve,
+            focal: mistake.focal,
             disagreement: self.agreement.disagreement(&views)?,
         })
     }
@@ -314,6 +356,31 @@ mod tests {
     fn error_by_range(constant_m: f64, wiggle_m: f64) -> Option<RangeError> {
         let at_m = |range_m: f64| constant_m + wiggle_m * (TAU * range_m / 0.3123).sin();
         (constant_m != 0.0 || wiggle_m != 0.0).then(|| RangeError::tabulated(at_m))
+    }
+
+    #[test]
+    fn views_tell_of_a_focal_length_that_is_not_what_it_is_said_to_be() {
+        let rays = rays();
+        for truth in [-0.03, 0.0, 0.02] {
+            let lens = RayGrid::new(rays.camera().with_longer_focus(truth));
+            let seen: Vec<_> = poses()
+                .iter()
+                .map(|pose| (seen(&lens, pose), *pose))
+                .collect();
+            // Waves are no planes, which passes for 1 %.
+            let mut said = 0.0;
+            for round in 0..3 {
+                let rays = RayGrid::new(rays.camera().with_longer_focus(said));
+                let told = Views::new(seen.clone(), false, &rays).longer_focus(said != 0.0);
+                assert_eq!(
+                    told.is_some() || round > 0,
+                    truth != 0.0 || round > 0,
+                    "{truth}: {told:?}"
+                );
+                said += told.unwrap_or(0.0);
+            }
+            assert!((said - truth).abs() < 0.015, "{said} for {truth}");
+        }
     }
 
     #[test]

@@ -3,17 +3,18 @@
 use super::DepthCorrection;
 use super::carry::Carry;
 use super::gross_error::{GrossError, Views};
+use super::lens::Lens;
 use super::ray_order::{RayOrder, WrongRays};
 use crate::{
     fusion::{
         DepthField, DepthNoise, Fusion, GoesOn, Keyframe, PoseCorrection, RollingShutter,
         TrackingOutcome, Waypoint, Work, velocities,
     },
-    geometry::{CameraModel, Motion, Pose, RangeError},
+    geometry::{Motion, Pose, RangeError, RayGrid},
     interreflection::WhiteLevel,
     multipath::{Evidence, WhiteSearch},
 };
-use depth_camera::Sensor;
+use depth_camera::{Intrinsics, Sensor};
 use rayon::prelude::*;
 
 /// A scan fused again with its depth corrected otherwise.
@@ -60,7 +61,13 @@ impl Revised {
                 both.join(", and ")
             )
         });
-        rays.into_iter().chain(of_range).collect()
+        let of_lens = self.known.lens.as_ref().map(Lens::put_right);
+        rays.into_iter().chain(of_range).chain(of_lens).collect()
+    }
+
+    /// The camera, where its lens was found to be another than it is said to be.
+    pub fn intrinsics(&self) -> Option<&Intrinsics> {
+        self.known.lens.as_ref().map(Lens::intrinsics)
     }
 
     /// How depth was computed, where that was not by the rays of its pixels, and it was put right.
@@ -79,6 +86,8 @@ pub(super) struct Known {
     pub(super) field: Option<DepthField>,
     /// `None` is all rows at once.
     pub(super) shutter: Option<RollingShutter>,
+    /// `None` is the lens that it is said to be.
+    pub(super) lens: Option<Lens>,
 }
 
 /// How far revising a scan came.
@@ -168,7 +177,9 @@ impl DepthCorrection {
             }
             n_passes = round + 1;
             let again = self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
-            let is_good = |again: &Revised| !is_gross || self.lies_as_close(fusion, &again.fusion);
+            let is_good = |again: &Revised| {
+                !is_gross || self.lies_as_close(fusion, &again.fusion, &again.known)
+            };
             match again.filter(is_good) {
                 Some(again) => (revised, told) = (Some(again), None),
                 // Put right it loses its track or lies farther apart, and is taken with less of it put right, or as it is.
@@ -187,7 +198,8 @@ impl DepthCorrection {
             let (known, work) = (found.known.clone(), Work::CorrectDepth(n_passes + 1));
             revised = self.fuse_again(all, fusion, revised.as_ref(), known, work, goes_on);
         }
-        revised = revised.filter(|revised| self.lies_as_close(fusion, &revised.fusion));
+        revised =
+            revised.filter(|revised| self.lies_as_close(fusion, &revised.fusion, &revised.known));
         if revised.is_none() {
             // What was asked was of a scan that there is not.
             (search, told) = (self.live.map(WhiteSearch::from), None);
@@ -199,9 +211,11 @@ impl DepthCorrection {
         }
     }
 
-    /// Whether the frames of a scan lie as close to the model that they made when they were fused again as to the one before.
-    pub(super) fn lies_as_close(&self, before: &Fusion, after: &Fusion) -> bool {
-        let [before_m, after_m] = [before, after].map(|fusion| fusion.misfit_m(&self.rays));
+    /// Whether the frames of a scan lie as close to the model that they made when they were fused again, by what is known, as to the one
+    /// before.
+    pub(super) fn lies_as_close(&self, before: &Fusion, after: &Fusion, known: &Known) -> bool {
+        let before_m = before.misfit_m(&self.rays);
+        let after_m = after.misfit_m(self.rays_of(known));
         let Some((before_m, after_m)) = before_m.zip(after_m) else {
             return true;
         };
@@ -262,11 +276,20 @@ impl DepthCorrection {
         poses
     }
 
-    /// Adds to what is known of a Kinect I what the frames of a scan still show of its slow error and of its rows; whether they do.
+    /// The rays of pixels by what is known.
+    fn rays_of<'a>(&'a self, known: &'a Known) -> &'a RayGrid {
+        known.lens.as_ref().map_or(&self.rays, Lens::rays)
+    }
+
+    /// Adds to what is known of a Kinect I what the frames of a scan that was fused by it still show of its lens, its slow error and its
+    /// rows; whether they do.
     fn add_what_frames_show(&self, fusion: &Fusion, known: &mut Known) -> bool {
-        let field = self.field(fusion).map(|shown| shown.in_full());
-        let shutter = self.shutter(fusion);
-        let shows = field.is_some() || shutter.is_some();
+        let rays = self.rays_of(known);
+        let field = self.field(fusion, rays).map(|shown| shown.in_full());
+        let shutter = self.shutter(fusion, rays);
+        let lens = self.lens(fusion, known);
+        let shows = field.is_some() || shutter.is_some() || lens.is_some();
+        known.lens = lens.or(known.lens.take());
         known.field = together(known.field.as_ref(), field.as_ref(), DepthField::plus);
         known.shutter = together(
             known.shutter.as_ref(),
@@ -276,19 +299,31 @@ impl DepthCorrection {
         shows
     }
 
+    /// The lens that the views of a scan agree with, where that is another one than they were fused by.
+    fn lens(&self, fusion: &Fusion, known: &Known) -> Option<Lens> {
+        let is_wanted = self.fusion.focal_length && self.info.sensor == Sensor::Kinect1;
+        if !is_wanted || fusion.is_at_given_poses() {
+            return None;
+        }
+        let views = Views::of(fusion.keyframes(), false, self.rays_of(known));
+        let longer = views.longer_focus(known.lens.is_some())?;
+        Some(match &known.lens {
+            Some(lens) => lens.plus(longer),
+            None => Lens::new(&self.info.intrinsics, longer),
+        })
+    }
+
     /// The sensor's slow error that the frames of a scan still show.
-    fn field(&self, fusion: &Fusion) -> Option<DepthField> {
+    fn field(&self, fusion: &Fusion, rays: &RayGrid) -> Option<DepthField> {
         let is_wanted = self.fusion.depth_field && self.info.sensor == Sensor::Kinect1;
-        let field = is_wanted.then(|| fusion.depth_field(&self.rays));
+        let field = is_wanted.then(|| fusion.depth_field(rays));
         field.flatten().filter(|field| field.rms() > MIN_FIELD_M)
     }
 
     /// How long the sensor takes to read its rows, as far as the frames of a scan still show it.
-    fn shutter(&self, fusion: &Fusion) -> Option<RollingShutter> {
+    fn shutter(&self, fusion: &Fusion, rays: &RayGrid) -> Option<RollingShutter> {
         let is_wanted = self.fusion.rolling_shutter && self.info.sensor == Sensor::Kinect1;
-        is_wanted
-            .then(|| fusion.rolling_shutter(&self.rays))
-            .flatten()
+        is_wanted.then(|| fusion.rolling_shutter(rays)).flatten()
     }
 
     /// Fuses frames again, near where they lie by now, with what is known taken off; `None` if too many are lost that way, or it
@@ -303,9 +338,9 @@ impl DepthCorrection {
         goes_on: &GoesOn,
     ) -> Option<Revised> {
         let model = revised.map_or(original, |revised| &revised.fusion);
-        let camera = CameraModel::new(self.info.intrinsics);
+        let rays = self.rays_of(&known);
         let noise = DepthNoise::of_sensor(self.info.sensor);
-        let mut fusion = Fusion::new(camera, noise, self.fusion.clone());
+        let mut fusion = Fusion::new(*rays.camera(), noise, self.fusion.clone());
         let mut knots = Vec::new();
         let mut n_lost = 0;
         let is_given = original.is_at_given_poses();
@@ -325,7 +360,7 @@ impl DepthCorrection {
         // Later ones lie near where they did, but in a long scan, of which some were asked so far.
         let is_first = revised.is_none() || frames.len() > self.max_sought_by;
         let was_wrong = is_first && !known.gross.is_none();
-        let slid = was_wrong || known.shutter.is_some();
+        let slid = was_wrong || known.shutter.is_some() || known.lens.is_some();
         let reach = (slid && !is_given).then_some(TRACKED_ANEW_REACH);
         let corrected = |index: usize| {
             let (frame, before) = (frames.get(index)?, &path[index].world_from_camera);
@@ -339,7 +374,7 @@ impl DepthCorrection {
                 self.anew(seen, frame.time_secs, before, model, &known)
             });
             Some(match &known.shutter {
-                Some(shutter) => shutter.corrected(&depth, &velocities[index], &self.rays, &noise),
+                Some(shutter) => shutter.corrected(&depth, &velocities[index], rays, &noise),
                 None => depth,
             })
         };
@@ -391,6 +426,7 @@ impl DepthCorrection {
                 .map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),
+            focus_longer_percent = known.lens.as_ref().map(Lens::longer_percent),
             "fused again with its depth corrected"
         );
         Some(Revised {

@@ -1,24 +1,29 @@
-//! Views of one surface that are moved, and freed of an error by range, until they agree best.
+//! Views of one surface that are moved, and freed of an error by range or of a wrong focal length, until they agree best.
 //!
 //! Where views were tracked, most of what they are off by alike passes for motions of the camera, and a constant of the range for part
 //! of a wiggle, which goes to and fro with range. So all of them are told at once, by Gauss-Newton steps over every pair of patches.
 //! A wiggle is a sum of sines whose periods the sensor's frequencies give, not any smooth curve: but for the scale of the scene, which
-//! no scan tells, a constant is a share of the range, and a curve that may grow with range is one.
+//! no scan tells, a constant is a share of the range, and a curve that may grow with range is one. A focal length is told by surfaces that
+//! face different ways: with a longer one all that was seen is narrower, and as deep as it was.
 
 use super::agreement::{Agreement, DAMPING, Pair, SCALE_M, View};
 use crate::{
     geometry::{Pose, RangeError, increment, point_to_plane_row},
     robust::quantile,
 };
-use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector6};
+use nalgebra::{DMatrix, DVector, Point3, SMatrix, SVector, Vector3, Vector6};
 use rayon::prelude::*;
 use std::{f64::consts::TAU, ops::Range};
 
 /// Periods of a Kinect II's wiggle, metres: a fourth and a third of the range at which 120 MHz begin anew, and a fourth of that of 80 MHz.
 /// Others between 0.25 and 0.94 m are made up of these well enough.
 const PERIODS_M: [f64; 3] = [0.3123, 0.4164, 0.4684];
-/// Parts of an error: a constant, and a sine and a cosine of each period.
-const N_PARTS: usize = 1 + 2 * PERIODS_M.len();
+/// Parts of an error by range: a constant, and a sine and a cosine of each period.
+const N_OF_RANGE: usize = 1 + 2 * PERIODS_M.len();
+/// Parts of what is told: those, and the focal length.
+const N_PARTS: usize = N_OF_RANGE + 1;
+const CONSTANT: usize = 0;
+const FOCAL: usize = N_OF_RANGE;
 /// Unknowns that a pair depends on: the parts, and the motions of its two views.
 const N_OF_PAIR: usize = N_PARTS + 12;
 /// How far each part of a wiggle may be off before anything is known, metres,
@@ -26,6 +31,10 @@ const PRIOR_M: f64 = 0.005;
 /// which counts as much as so many pairs, a tenth of them: those of one surface share their mistakes, and the parts are nearly alike over
 /// the ranges that are seen. With 100 a wiggle of 3 mm is told as 3.6, with 100 000 as 3.0 and one of 1 mm as 0.94.
 const PRIOR_PAIRS: f64 = 30_000.0;
+/// How far a focal length may be off before anything is known, as a share of it; which counts as much as this share of all pairs: where
+/// views hardly tell it, it stays what it is said to be.
+const FOCAL_PRIOR: f64 = 0.02;
+const FOCAL_PRIOR_SHARE: f64 = 0.0005;
 /// Pairs that lie farther apart count for less than half, step by step, as multiples of what they do in the end. The last step changes a
 /// constant by 0.2 mm at most.
 const SCALES: [f64; 6] = [4.0, 2.0, 1.0, 1.0, 1.0, 1.0];
@@ -39,6 +48,7 @@ pub(super) enum Asked {
     Constant,
     Wiggle,
     ConstantAndWiggle,
+    FocalLength,
 }
 
 /// How views are settled.
@@ -51,7 +61,15 @@ pub(super) struct Settling<'a> {
 
 /// An error by range: coefficients of its parts, metres: the constant, then sine and cosine of each period.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Curve([f64; N_PARTS]);
+pub(super) struct Curve([f64; N_OF_RANGE]);
+
+/// What is told of views.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Mistake {
+    pub(super) curve: Curve,
+    /// By how much of itself the focal length is longer than it is said to be.
+    pub(super) focal: f64,
+}
 
 /// Normal equations, of which the lower triangle is filled.
 struct Equations {
@@ -90,14 +108,14 @@ impl Curve {
     }
 
     /// The parts at the range that was measured, of one without the error.
-    fn parts_of_corrected(&self, range_m: f64) -> [f64; N_PARTS] {
+    fn parts_of_corrected(&self, range_m: f64) -> [f64; N_OF_RANGE] {
         parts(range_m + self.at_m(range_m + self.constant_m()))
     }
 }
 
 /// What a unit of each part makes of a range.
-fn parts(range_m: f64) -> [f64; N_PARTS] {
-    let mut parts = [1.0; N_PARTS];
+fn parts(range_m: f64) -> [f64; N_OF_RANGE] {
+    let mut parts = [1.0; N_OF_RANGE];
     for (pair, period_m) in parts[1..].chunks_exact_mut(2).zip(PERIODS_M) {
         let turn = TAU * range_m / period_m;
         pair.copy_from_slice(&[turn.sin(), turn.cos()]);
@@ -105,47 +123,58 @@ fn parts(range_m: f64) -> [f64; N_PARTS] {
     parts
 }
 
+impl Mistake {
+    fn part_mut(&mut self, part: usize) -> &mut f64 {
+        self.curve.0.get_mut(part).unwrap_or(&mut self.focal)
+    }
+}
+
 impl Settling<'_> {
-    /// Moves views, and tells an error by range, until they agree best: the error, and the views without it where they then lie. `views`
-    /// makes views without an error at poses. `None` if no pair tells anything.
+    /// Moves views, and tells what is wrong with them, until they agree best: that, and the views without it where they then lie. `views`
+    /// makes views without it at poses. `None` if no pair tells anything.
     pub(super) fn settled(
         &self,
         mut poses: Vec<Pose>,
-        views: impl Fn(&Curve, &[Pose]) -> Vec<View>,
-    ) -> Option<(Curve, Vec<View>)> {
+        views: impl Fn(&Mistake, &[Pose]) -> Vec<View>,
+    ) -> Option<(Mistake, Vec<View>)> {
         let parts = self.asked.parts();
-        let mut curve = Curve::default();
+        let mut mistake = Mistake::default();
         for scale in SCALES {
             if parts.is_empty() && !self.are_moved {
                 break;
             }
-            let step = self.step(&views(&curve, &poses), &curve, scale * SCALE_M)?;
+            let step = self.step(&views(&mistake, &poses), &mistake, scale * SCALE_M)?;
             let (by_parts, by_motions) = step.as_slice().split_at(parts.len());
-            for (part_m, by_m) in curve.0[parts.clone()].iter_mut().zip(by_parts) {
-                *part_m += by_m;
+            for (part, by) in parts.clone().zip(by_parts) {
+                *mistake.part_mut(part) += by;
             }
             for (pose, by) in poses.iter_mut().zip(by_motions.chunks_exact(6)) {
                 *pose *= increment(&Vector6::from_column_slice(by));
             }
         }
-        let views = views(&curve, &poses);
-        Some((curve, views))
+        let views = views(&mistake, &poses);
+        Some((mistake, views))
     }
 
-    /// By how much the parts of an error change, and the views move, so that they agree better.
-    fn step(&self, views: &[View], curve: &Curve, scale_m: f64) -> Option<DVector<f64>> {
+    /// By how much the parts change, and the views move, so that they agree better.
+    fn step(&self, views: &[View], mistake: &Mistake, scale_m: f64) -> Option<DVector<f64>> {
         let parts = self.asked.parts();
         let n = parts.len() + if self.are_moved { 6 * views.len() } else { 0 };
-        let of_view = |index: usize| self.equations(views, index, curve, scale_m, n);
+        let of_view = |index: usize| self.equations(views, index, &mistake.curve, scale_m, n);
         let each: Vec<Equations> = (0..views.len()).into_par_iter().map(of_view).collect();
         // One after the other, so that the sum is the same on any number of threads.
         let mut equations = each.into_iter().fold(Equations::empty(n), Equations::plus);
         let variance = equations.squares / equations.weight;
-        // A constant may be anything.
-        for (row, part) in parts.clone().enumerate().filter(|(_, part)| *part > 0) {
-            let prior = PRIOR_PAIRS * variance / (PRIOR_M * PRIOR_M);
+        for (row, part) in parts.clone().enumerate() {
+            let (pairs, known_to) = match part {
+                // It may be anything.
+                CONSTANT => continue,
+                FOCAL => (FOCAL_PRIOR_SHARE * equations.weight, FOCAL_PRIOR),
+                _ => (PRIOR_PAIRS, PRIOR_M),
+            };
+            let prior = pairs * variance / (known_to * known_to);
             equations.matrix[(row, row)] += prior;
-            equations.right[row] -= prior * curve.0[part];
+            equations.right[row] -= prior * *mistake.clone().part_mut(part);
         }
         for first in (parts.len()..n).step_by(6) {
             let diagonal = first..first + 6;
@@ -210,8 +239,8 @@ impl Settling<'_> {
     }
 }
 
-/// How much farther a pair comes to lie apart by a unit of each unknown: of the parts of an error that is taken off, beside a curve that
-/// is, and of the motions of both views.
+/// How much farther a pair comes to lie apart by a unit of each unknown: of the parts of what is taken off, beside a curve that is, and of
+/// the motions of both views.
 fn row(pair: &Pair, curve: &Curve) -> SVector<f64, N_OF_PAIR> {
     let Pair { patch, seen, .. } = pair;
     let [here, there] = [&patch.centre, &seen.centre].map(|centre| centre.coords.norm());
@@ -222,6 +251,9 @@ fn row(pair: &Pair, curve: &Curve) -> SVector<f64, N_OF_PAIR> {
     for (value, (here, there)) in row.iter_mut().zip(here.into_iter().zip(there)) {
         *value = there * by_there - here * by_here;
     }
+    // Across the axis all shrinks in proportion.
+    let across = |normal: &Vector3<f64>, centre: &Point3<f64>| normal.xy().dot(&centre.coords.xy());
+    row[FOCAL] = across(&seen.normal, &seen.centre) - across(&pair.normal, &patch.centre);
     let moved = point_to_plane_row(&patch.centre.coords, &pair.normal);
     let other_moved = point_to_plane_row(&pair.at.coords, &seen.normal);
     row.fixed_rows_mut::<6>(N_PARTS).copy_from(&moved);
@@ -231,13 +263,14 @@ fn row(pair: &Pair, curve: &Curve) -> SVector<f64, N_OF_PAIR> {
 }
 
 impl Asked {
-    /// The parts of an error that are told.
+    /// The parts that are told.
     fn parts(self) -> Range<usize> {
         match self {
             Asked::Nothing => 0..0,
             Asked::Constant => 0..1,
-            Asked::Wiggle => 1..N_PARTS,
-            Asked::ConstantAndWiggle => 0..N_PARTS,
+            Asked::Wiggle => 1..N_OF_RANGE,
+            Asked::ConstantAndWiggle => 0..N_OF_RANGE,
+            Asked::FocalLength => FOCAL..N_PARTS,
         }
     }
 }
@@ -298,10 +331,13 @@ mod tests {
         rays: &RayGrid,
         depths_m: &[Image<f32>],
         poses: &[Pose],
-        curve: &Curve,
+        mistake: &Mistake,
     ) -> Vec<View> {
-        let error = curve.at_all_ranges();
-        let view = |(depth_m, pose)| agreement.view(&error.corrected(depth_m, rays), pose);
+        let error = mistake.curve.at_all_ranges();
+        let view = |(depth_m, pose)| {
+            let view = agreement.view(&error.corrected(depth_m, rays), pose);
+            view.with_longer_focus(mistake.focal)
+        };
         depths_m.iter().zip(poses).map(view).collect()
     }
 
@@ -311,30 +347,30 @@ mod tests {
         let agreement = Agreement::of(&rays);
         let depths_m = &depths_m(&rays)[..2];
         let poses = wavy_wall::poses();
-        let mut curve = Curve::default();
-        (curve.0[0], curve.0[2]) = (0.02, 0.003);
+        let mut mistake = Mistake::default();
+        (mistake.curve.0[0], mistake.curve.0[2], mistake.focal) = (0.02, 0.003, 0.01);
         // Of two views the second is asked.
         let (index, other) = (1, 0);
-        let here = views(&agreement, &rays, depths_m, &poses[..2], &curve);
+        let here = views(&agreement, &rays, depths_m, &poses[..2], &mistake);
         let rows: Vec<_> = agreement
             .pairs(&here, index)
-            .map(|pair| row(&pair, &curve))
+            .map(|pair| row(&pair, &mistake.curve))
             .collect();
         assert!(rows.len() > 100, "{} pairs", rows.len());
         for unknown in 0..N_OF_PAIR {
             // Depth is in single precision; a motion may bring a patch into another cell.
             let step = if unknown < N_PARTS { 2e-4 } else { 1e-6 };
             let at = |by: f64| {
-                let (mut curve, mut poses) = (curve, poses.clone());
+                let (mut mistake, mut poses) = (mistake, poses.clone());
                 match unknown.checked_sub(N_PARTS) {
-                    None => curve.0[unknown] += by,
+                    None => *mistake.part_mut(unknown) += by,
                     Some(motion) => {
                         let mut xi = Vector6::zeros();
                         xi[motion % 6] = by;
                         poses[if motion < 6 { index } else { other }] *= increment(&xi);
                     }
                 }
-                let views = views(&agreement, &rays, depths_m, &poses[..2], &curve);
+                let views = views(&agreement, &rays, depths_m, &poses[..2], &mistake);
                 let pairs = agreement.pairs(&views, index);
                 pairs.map(|pair| pair.apart_m).collect::<Vec<f64>>()
             };
@@ -371,10 +407,10 @@ mod tests {
             are_moved: true,
             asked: Asked::ConstantAndWiggle,
         };
-        let found = settling.settled(wavy_wall::poses(), |curve, poses| {
-            views(&agreement, &rays, &depths_m, poses, curve)
+        let found = settling.settled(wavy_wall::poses(), |mistake, poses| {
+            views(&agreement, &rays, &depths_m, poses, mistake)
         });
-        let (curve, _) = found.expect("eleven views");
+        let (Mistake { curve, .. }, _) = found.expect("eleven views");
         assert!((curve.constant_m() - 0.02).abs() < 0.004, "{curve:?}");
     }
 }

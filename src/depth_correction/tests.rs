@@ -5,10 +5,10 @@ use super::ray_order::RayOrder;
 use super::*;
 use crate::{
     fusion::{DepthNoise, TrackingOutcome},
-    geometry::{CellGrid, motion_between},
+    geometry::{CellGrid, increment, motion_between},
 };
 use depth_camera::DepthCamera;
-use nalgebra::{Translation3, Vector3};
+use nalgebra::{Translation3, Vector3, Vector6};
 use simulated::SimulatedCamera;
 use std::time::Duration;
 
@@ -405,8 +405,9 @@ fn a_model_from_which_its_frames_lie_farther_does_not_take_the_place_of_one() {
         let off = Translation3::from(along) * pose;
         fusion.fuse_at(depth, time, &off)
     });
-    assert!(correction.lies_as_close(&bad, &good) && correction.lies_as_close(&good, &good));
-    assert!(!correction.lies_as_close(&good, &bad));
+    let lies_as_close = |before, after| correction.lies_as_close(before, after, &Known::default());
+    assert!(lies_as_close(&bad, &good) && lies_as_close(&good, &good));
+    assert!(!lies_as_close(&good, &bad));
 }
 
 /// A frame whose decoder took the rays of the image upside down.
@@ -467,4 +468,45 @@ fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
     for (a, b) in straight.data().iter().zip(seen.data()) {
         assert!((a - b).abs() < 1e-6, "{a} m for {b} m");
     }
+}
+
+#[test]
+fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
+    let rays = wavy_wall::rays();
+    let truth = rays.camera().intrinsics();
+    let said = rays.camera().with_longer_focus(-0.02);
+    let info = CameraInfo {
+        intrinsics: *said.intrinsics(),
+        ..SimulatedCamera::kinect1_plaque(1, 7).info().clone()
+    };
+    let params = FusionParams {
+        voxel_size_m: 0.004,
+        ..FusionParams::default()
+    };
+    let calibration = Calibration::shipped_for(&info).expect("shipped");
+    let correction = DepthCorrection::new(&info, &calibration, false, &params);
+    let mut fusion = Fusion::new(said, DepthNoise::of_sensor(info.sensor), params);
+    // Once round in front of the wall, turned to where it was begun.
+    for k in 0..42 {
+        let (y, x) = (0.15 * f64::from(k)).sin_cos();
+        let turn = increment(&Vector6::new(0.25 * y, -0.25 * x, 0.1 * x, 0.0, 0.0, 0.0));
+        let pose = Translation3::new(0.3 * x, 0.3 * y, -0.1 * x) * turn;
+        let outcome = fusion.fuse(&wavy_wall::seen(&rays, &pose), f64::from(k) / 30.0);
+        assert!(
+            matches!(outcome, TrackingOutcome::Tracked { .. }),
+            "{k}: {outcome:?}"
+        );
+    }
+    let revised = correction.revise(&fusion, &|_| true).expect("another lens");
+    let found = revised.intrinsics().expect("another lens");
+    let off = found.fx / truth.fx - 1.0;
+    assert!(off.abs() < 0.008, "{found:?}: {off}");
+    assert_eq!(found.fx / found.fy, truth.fx / truth.fy);
+    let sentences = revised.put_right();
+    assert!(
+        sentences
+            .iter()
+            .any(|s| s.contains("% longer") && s.contains(&format!("{:.1}", said.intrinsics().fx))),
+        "{sentences:?}"
+    );
 }

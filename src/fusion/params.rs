@@ -47,6 +47,8 @@ pub struct FusionParams {
     pub depth_field: bool,
     /// Whether the time in which a Kinect I's rows are read is measured by the scan itself, and its motion meanwhile taken off.
     pub rolling_shutter: bool,
+    /// Whether the focal length of a Kinect I is measured by the scan itself, and put right.
+    pub focal_length: bool,
     /// Whether the error that a Kinect II's depth has by range alone, wiggle or constant, is measured by the scan itself and taken off.
     pub range_error: bool,
     /// Whether depth of a Kinect II was computed with the rays of its image upside down, as libfreenect2's CPU and OpenGL decoders do, and
@@ -89,6 +91,7 @@ impl Default for FusionParams {
             max_speed_m_per_s: 2.0,
             depth_field: true,
             rolling_shutter: true,
+            focal_length: true,
             range_error: true,
             rays_upside_down: false,
             max_revisions: 4,
@@ -217,6 +220,19 @@ impl FusionParams {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn wide_voxels_make_a_surface_sooner_and_narrow_ones_not_later() {
+        let weight = |voxel_size_m| {
+            let params = FusionParams {
+                voxel_size_m,
+                ..FusionParams::default()
+            };
+            params.surface_weight()
+        };
+        assert_eq!([0.001, 0.002].map(weight), [2.0; 2]);
+        assert!((weight(0.005) - 0.32).abs() < 1e-6);
+    }
 
     #[test]
     fn the_least_working_range_is_told_and_taken_as_it_is_written() {

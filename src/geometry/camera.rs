@@ -84,6 +84,16 @@ impl CameraModel {
         })
     }
 
+    /// The same with focal lengths that are longer by a share of themselves.
+    pub fn with_longer_focus(&self, by: f64) -> CameraModel {
+        let i = &self.intrinsics;
+        CameraModel::new(Intrinsics {
+            fx: i.fx * (1.0 + by),
+            fy: i.fy * (1.0 + by),
+            ..*i
+        })
+    }
+
     /// Pixel of a point in the camera frame (m); `None` behind the camera or beyond the lens.
     pub fn project(&self, point_camera: &Point3<f64>) -> Option<Vector2<f64>> {
         if point_camera.z <= 1e-6 {

@@ -113,8 +113,8 @@ impl RecordedScan {
             }
             accepted.push(shading_snapshot(snapshot, &meta));
         }
+        let info = info.ok_or_else(|| RecordedScanError::NoSnapshots(folder.to_owned()))?;
         Ok(RecordedScan {
-            info: info.ok_or_else(|| RecordedScanError::NoSnapshots(folder.to_owned()))?,
             scan: FusedScan {
                 base,
                 world_from_cameras: trajectory.into_iter().map(|(_, pose)| pose).collect(),
@@ -122,10 +122,12 @@ impl RecordedScan {
                     accepted,
                     rejected: Vec::new(),
                 }),
+                intrinsics: info.intrinsics,
                 last_depth: None,
                 delivered,
                 warnings,
             },
+            info,
         })
     }
 }
@@ -211,6 +213,7 @@ impl RecordedScan {
                     accepted: vec![snapshot],
                     rejected: Vec::new(),
                 }),
+                intrinsics: info.intrinsics,
                 last_depth: None,
                 delivered: None,
                 warnings,

@@ -104,7 +104,7 @@ pub fn run(
         export_clock.time(|| {
             let base_mesh = deliver_fused(setup, &scan, object, outbox);
             if let Ok(snapshots) = &images {
-                outbox.snapshots(snapshots, &setup.info);
+                outbox.snapshots(snapshots, &camera_of(setup, &scan));
             }
             base_mesh
         })
@@ -261,6 +261,14 @@ fn object_of(setup: &RefineSetup, scan: &FusedScan) -> Result<TriMesh, String> {
     Ok(object)
 }
 
+/// The camera as the scan was fused in the end.
+fn camera_of(setup: &RefineSetup, scan: &FusedScan) -> CameraInfo {
+    CameraInfo {
+        intrinsics: scan.intrinsics,
+        ..setup.info.clone()
+    }
+}
+
 fn run_refine(
     setup: &RefineSetup,
     wanted: Wanted,
@@ -268,8 +276,9 @@ fn run_refine(
     object: &TriMesh,
 ) -> Result<Refinement, String> {
     let Wanted { params, snapshots } = wanted;
-    let rays = RayGrid::new(CameraModel::new(setup.info.intrinsics));
-    let optics = Optics::of(&setup.info, &rays, &setup.calibration).ok_or(NO_OPTICS)?;
+    let info = camera_of(setup, scan);
+    let rays = RayGrid::new(CameraModel::new(info.intrinsics));
+    let optics = Optics::of(&info, &rays, &setup.calibration).ok_or(NO_OPTICS)?;
     let mut first_energy = None;
     setup
         .status

@@ -86,6 +86,7 @@ impl FusionStage {
                 base,
                 world_from_cameras: trajectory.iter().map(|(_, pose)| *pose).collect(),
                 snapshots,
+                intrinsics: self.intrinsics,
                 last_depth: self.last_depth.take(),
                 delivered: None,
                 warnings: Vec::new(),
@@ -170,6 +171,9 @@ impl FusionStage {
         for sentence in revised.put_right() {
             tracing::warn!("{sentence}");
             self.summary.put_right.push(sentence);
+        }
+        if let Some(intrinsics) = revised.intrinsics() {
+            self.intrinsics = *intrinsics;
         }
         for snapshot in snapshots.iter_mut().flat_map(|s| &mut s.accepted) {
             let time_secs = snapshot.device_time_secs;

@@ -37,7 +37,7 @@ use crossbeam::{
     channel::{Receiver, Sender},
     select,
 };
-use depth_camera::{CameraInfo, Frame, Image};
+use depth_camera::{CameraInfo, Frame, Image, Intrinsics};
 pub use loops::LoopTiming;
 use loops::LoopsUnderWay;
 use operator::Operator;
@@ -92,6 +92,8 @@ pub struct FusedScan {
     pub world_from_cameras: Vec<Pose>,
     /// The shading images; `None` if the camera gives none.
     pub snapshots: Option<SnapshotSelection>,
+    /// The camera as they were fused in the end, which may have found its lens to be another than it is said to be.
+    pub intrinsics: Intrinsics,
     /// The last depth image that was fused, metres.
     pub last_depth: Option<Image<f32>>,
     /// The part of the surface that was delivered when the scan was made; `None` if that is all, or none has been yet.
@@ -242,6 +244,8 @@ struct FusionStage {
     summary: FusionSummary,
     /// Times (s) and poses of all fused frames.
     trajectory: Vec<(f64, Pose)>,
+    /// As of [`FusedScan::intrinsics`].
+    intrinsics: Intrinsics,
     last_depth: Option<Image<f32>>,
     last_frame_id: u64,
     had_depth: bool,
@@ -293,6 +297,7 @@ impl FusionStage {
             tracked,
             summary: FusionSummary::default(),
             trajectory: Vec::new(),
+            intrinsics: setup.info.intrinsics,
             last_depth: None,
             last_frame_id: 0,
             had_depth: true,
