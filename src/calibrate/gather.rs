@@ -110,7 +110,7 @@ pub(super) const WALL_SHARE: f64 = 0.8;
 const STANDING_OUT_M: f64 = 0.03;
 /// A plane is bare where a smaller share of the depth stands out of it. Recorded walls have none, a ball of 10 cm has 0.011 at 0.65 m.
 const MIN_STANDING_OUT: f64 = 0.002;
-/// A sphere is found in a mesh of a few frames, too: half a frontal view makes a surface.
+/// A sphere is found in a mesh of a few frames, too: half a frontal view makes a surface of voxels of 2 mm.
 const MIN_SURFACE_WEIGHT: f64 = 0.5;
 /// Depth images with less valid pixels tell nothing; those of a covered Kinect I stay below 4 %.
 const MIN_VALID_SHARE: f64 = 0.05;

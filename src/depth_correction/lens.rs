@@ -13,6 +13,9 @@ use crate::geometry::{CameraModel, RayGrid};
 use depth_camera::Intrinsics;
 use std::sync::Arc;
 
+/// No lens is off by more than this share of its focal length.
+const MAX_LONGER: f64 = 0.05;
+
 /// The lens that the views of a scan agree with.
 #[derive(Clone)]
 pub(super) struct Lens {
@@ -25,18 +28,18 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// One with a focal length longer by a share than it is said to be.
-    pub(super) fn new(said: &Intrinsics, longer: f64) -> Self {
+    /// One with a focal length longer by a share than it is said to be; `None` if no lens is so far off.
+    pub(super) fn new(said: &Intrinsics, longer: f64) -> Option<Self> {
         let camera = CameraModel::new(*said).with_longer_focus(longer);
-        Lens {
+        (longer.abs() <= MAX_LONGER).then(|| Lens {
             said: *said,
             longer,
             rays: Arc::new(RayGrid::new(camera)),
-        }
+        })
     }
 
     /// One that is longer than this by a further share.
-    pub(super) fn plus(&self, longer: f64) -> Self {
+    pub(super) fn plus(&self, longer: f64) -> Option<Self> {
         Lens::new(&self.said, (1.0 + self.longer) * (1.0 + longer) - 1.0)
     }
 
@@ -65,7 +68,7 @@ impl Lens {
         let (now, said) = (self.intrinsics(), &self.said);
         format!(
             "views of this scan agree with a focal length {:.1} % {than_said} than the camera is said to have, and it was fused with that: \
-             fx {:.1}, fy {:.1} pixels for {:.1} and {:.1}",
+             fx {:.1}, fy {:.1} pixels for {:.1} and {:.1}, which the `session.toml` of a recording may state",
             self.longer_percent().abs(),
             now.fx,
             now.fy,

@@ -115,8 +115,8 @@ const MAX_LOST_SHARE: f64 = 0.05;
 const MIN_TOLD_M: f64 = 1e-4;
 /// A field that changes by less, metres at a metre, is not worth fusing again.
 const MIN_FIELD_M: f64 = 1e-4;
-/// How far a frame may lie from where it would by its motion since the one before, where rows are put right or an error of range was
-/// taken off: tracking had slid along a far surface for want of a rigid image by 4 cm and 0.08 rad, and had turned a head that a wiggle
+/// How far a frame may lie from where it would by its motion since the one before, where rows or a lens are put right or an error of range
+/// was taken off: tracking had slid along a far surface for want of a rigid image by 4 cm and 0.08 rad, and had turned a head that a wiggle
 /// of 3 mm had bent by 12° in a whole turn.
 pub(super) const TRACKED_ANEW_REACH: Motion = Motion {
     rotation_rad: 0.15,
@@ -146,6 +146,7 @@ impl DepthCorrection {
         // What is wrong with all frames alike is put right before anything else is asked: a bent model tells nothing.
         let mut begins_at = usize::from(!gross.is_none());
         let (mut round, mut n_passes) = (0, 0);
+        let mut asks_lens = true;
         while round < self.fusion.max_revisions + begins_at {
             let work = Work::CorrectDepth(round + 1);
             if !goes_on(work.at(0, frames.len())) {
@@ -164,6 +165,11 @@ impl DepthCorrection {
             let mut has_more = is_gross || has_multipath && round < MODEL_ROUNDS + begins_at;
             let asks_sensor = !is_gross && round < SENSOR_ROUNDS + begins_at;
             has_more |= asks_sensor && self.add_what_frames_show(current, &mut known);
+            let lens = (asks_sensor && asks_lens).then(|| self.lens(current, &known));
+            let lens = lens.flatten();
+            let is_other_lens = lens.is_some();
+            known.lens = lens.or(known.lens.take());
+            has_more |= is_other_lens;
             if round > begins_at && revised.is_some() && has_multipath && !self.is_measured {
                 told = self.evidence(current, known.white);
                 if let Some((evidence, search)) = told.zip(search.as_mut()) {
@@ -178,7 +184,8 @@ impl DepthCorrection {
             n_passes = round + 1;
             let again = self.fuse_again(frames, fusion, revised.as_ref(), known, work, goes_on);
             let is_good = |again: &Revised| {
-                !is_gross || self.lies_as_close(fusion, &again.fusion, &again.known)
+                !(is_gross || is_other_lens)
+                    || self.lies_as_close(fusion, &again.fusion, &again.known)
             };
             match again.filter(is_good) {
                 Some(again) => (revised, told) = (Some(again), None),
@@ -189,6 +196,11 @@ impl DepthCorrection {
                         false => GrossError::default(),
                     };
                     begins_at = round + 1 + usize::from(!gross.is_none());
+                }
+                // By that lens it does; what else it told is asked again.
+                None if is_other_lens => {
+                    asks_lens = false;
+                    continue;
                 }
                 None => break,
             }
@@ -281,15 +293,13 @@ impl DepthCorrection {
         known.lens.as_ref().map_or(&self.rays, Lens::rays)
     }
 
-    /// Adds to what is known of a Kinect I what the frames of a scan that was fused by it still show of its lens, its slow error and its
-    /// rows; whether they do.
+    /// Adds to what is known of a Kinect I what the frames of a scan that was fused by it still show of its slow error and of its rows;
+    /// whether they do. Where its lens is another one the slow error is some of that, which the next round takes off again.
     fn add_what_frames_show(&self, fusion: &Fusion, known: &mut Known) -> bool {
         let rays = self.rays_of(known);
         let field = self.field(fusion, rays).map(|shown| shown.in_full());
         let shutter = self.shutter(fusion, rays);
-        let lens = self.lens(fusion, known);
-        let shows = field.is_some() || shutter.is_some() || lens.is_some();
-        known.lens = lens.or(known.lens.take());
+        let shows = field.is_some() || shutter.is_some();
         known.field = together(known.field.as_ref(), field.as_ref(), DepthField::plus);
         known.shutter = together(
             known.shutter.as_ref(),
@@ -307,10 +317,10 @@ impl DepthCorrection {
         }
         let views = Views::of(fusion.keyframes(), false, self.rays_of(known));
         let longer = views.longer_focus(known.lens.is_some())?;
-        Some(match &known.lens {
+        match &known.lens {
             Some(lens) => lens.plus(longer),
             None => Lens::new(&self.info.intrinsics, longer),
-        })
+        }
     }
 
     /// The sensor's slow error that the frames of a scan still show.

@@ -67,7 +67,7 @@ pub(super) struct Curve([f64; N_OF_RANGE]);
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Mistake {
     pub(super) curve: Curve,
-    /// By how much of itself the focal length is longer than it is said to be.
+    /// By how much of itself the focal length is longer than the one by which views are seen.
     pub(super) focal: f64,
 }
 
@@ -124,6 +124,10 @@ fn parts(range_m: f64) -> [f64; N_OF_RANGE] {
 }
 
 impl Mistake {
+    fn part(&self, part: usize) -> f64 {
+        self.curve.0.get(part).copied().unwrap_or(self.focal)
+    }
+
     fn part_mut(&mut self, part: usize) -> &mut f64 {
         self.curve.0.get_mut(part).unwrap_or(&mut self.focal)
     }
@@ -174,7 +178,7 @@ impl Settling<'_> {
             };
             let prior = pairs * variance / (known_to * known_to);
             equations.matrix[(row, row)] += prior;
-            equations.right[row] -= prior * *mistake.clone().part_mut(part);
+            equations.right[row] -= prior * mistake.part(part);
         }
         for first in (parts.len()..n).step_by(6) {
             let diagonal = first..first + 6;

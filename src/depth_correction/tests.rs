@@ -483,6 +483,10 @@ fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
         voxel_size_m: 0.004,
         ..FusionParams::default()
     };
+    let not_asked = FusionParams {
+        focal_length: false,
+        ..params.clone()
+    };
     let calibration = Calibration::shipped_for(&info).expect("shipped");
     let correction = DepthCorrection::new(&info, &calibration, false, &params);
     let mut fusion = Fusion::new(said, DepthNoise::of_sensor(info.sensor), params);
@@ -502,6 +506,9 @@ fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
     let off = found.fx / truth.fx - 1.0;
     assert!(off.abs() < 0.008, "{found:?}: {off}");
     assert_eq!(found.fx / found.fy, truth.fx / truth.fy);
+    let correction = DepthCorrection::new(&info, &calibration, false, &not_asked);
+    let stays = correction.revise(&fusion, &|_| true);
+    assert!(stays.is_none_or(|revised| revised.intrinsics().is_none()));
     let sentences = revised.put_right();
     assert!(
         sentences

@@ -69,6 +69,8 @@ pub struct FusionParams {
 /// it is being fused again.
 const VOLUMES_AT_ONCE: usize = 3;
 
+/// Voxels wider than by this factor need as much weight as those: a single sight at a distance is no surface, however coarse it is.
+const MAX_EASING: f64 = 2.5;
 /// Width of voxels for an object within a metre.
 const OBJECT_VOXEL_M: f64 = 0.002;
 
@@ -106,7 +108,7 @@ impl FusionParams {
     /// Voxels that were seen with less weight do not make a surface. What a mean may be off by falls with the root of its weight, and
     /// matters beside the width of a voxel: with 2 mm's weight a Kinect I would have to look at a wall at 3 m for 240 frames, not 39.
     pub fn surface_weight(&self) -> f32 {
-        let width = (self.voxel_size_m / OBJECT_VOXEL_M).max(1.0);
+        let width = (self.voxel_size_m / OBJECT_VOXEL_M).clamp(1.0, MAX_EASING);
         (self.min_surface_weight / (width * width)) as f32
     }
 
@@ -231,7 +233,9 @@ mod tests {
             params.surface_weight()
         };
         assert_eq!([0.001, 0.002].map(weight), [2.0; 2]);
-        assert!((weight(0.005) - 0.32).abs() < 1e-6);
+        for voxel_size_m in [0.005, 0.1] {
+            assert!((weight(voxel_size_m) - 0.32).abs() < 1e-6);
+        }
     }
 
     #[test]

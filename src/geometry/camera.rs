@@ -84,12 +84,17 @@ impl CameraModel {
         })
     }
 
-    /// The same with focal lengths that are longer by a share of themselves.
+    /// The same with focal lengths that are longer by a share of themselves; its distortion moves the same pixels by as much as before.
     pub fn with_longer_focus(&self, by: f64) -> CameraModel {
-        let i = &self.intrinsics;
+        let (i, longer) = (&self.intrinsics, 1.0 + by);
         CameraModel::new(Intrinsics {
-            fx: i.fx * (1.0 + by),
-            fy: i.fy * (1.0 + by),
+            fx: i.fx * longer,
+            fy: i.fy * longer,
+            k1: i.k1 * longer.powi(2),
+            k2: i.k2 * longer.powi(4),
+            k3: i.k3 * longer.powi(6),
+            p1: i.p1 * longer,
+            p2: i.p2 * longer,
             ..*i
         })
     }
