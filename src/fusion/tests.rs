@@ -31,6 +31,8 @@ pub(super) fn small_params() -> FusionParams {
     FusionParams {
         voxel_size_m: 0.004,
         depth_max_m: 1.5,
+        // Two frontal views at 0.6 m make a surface of such voxels.
+        min_surface_weight: 8.0,
         ..FusionParams::default()
     }
 }
