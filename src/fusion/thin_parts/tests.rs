@@ -63,6 +63,7 @@ fn params() -> FusionParams {
         voxel_size_m: 0.001,
         thin_truncation_voxels: 2.0,
         truncation_voxels: 5.0,
+        min_surface_weight: 2.0,
         ..small_params()
     }
 }
