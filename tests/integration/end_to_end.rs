@@ -1,6 +1,6 @@
 //! A recording with known truth through the real pipeline.
 
-use crate::support::{record, small_camera};
+use crate::support::{record, record_as, small_camera};
 use depth_camera::{DepthCamera, Image};
 use mcap_session::open_session;
 use nalgebra::Isometry3;
@@ -16,6 +16,8 @@ use relief::{
     snapshot::SnapshotParams,
 };
 use replay::{Pacing, SessionWriter};
+use serde_json::Value;
+use simulated::SimulatedCamera;
 use std::{fs, num::NonZeroUsize, path::Path, time::Duration};
 
 const N_FRAMES: usize = 12;
@@ -154,6 +156,38 @@ fn depth_is_corrected_by_what_the_images_say_of_the_response_whether_the_scan_is
     assert!(told.iter().any(|told| told.contains("gamma")), "{told:?}");
     assert!(base("fused", true, false).0 == refined);
     assert!(base("believed", false, false).0 != refined);
+}
+
+#[test]
+fn a_focal_length_that_the_scan_tells_goes_with_its_images_and_into_the_report() {
+    let root = tempfile::tempdir().unwrap();
+    let [session, out] = ["plaque", "out"].map(|name| root.path().join(name));
+    let mut camera = SimulatedCamera::kinect1_plaque(30, 1);
+    let truth = camera.info().intrinsics;
+    let mut said = camera.info().clone();
+    said.intrinsics.fx *= 0.974;
+    said.intrinsics.fy *= 0.974;
+    record_as(&said, &mut camera, &session);
+    let outcome = run_with(
+        &session,
+        &out,
+        params(2, Calibration::shipped_for(&said).unwrap()),
+    );
+    let told = &outcome.report.warnings;
+    let is_told = told.iter().any(|told| told.contains("% longer"));
+    assert!(is_told, "{told:?}");
+    let images = fs::read_dir(out.join("snapshots")).unwrap();
+    let metas = images.map(|image| fs::read(image.unwrap().path().join("meta.json")).unwrap());
+    let metas: Vec<Value> = metas
+        .map(|meta| serde_json::from_slice(&meta).unwrap())
+        .collect();
+    assert!(!metas.is_empty());
+    for meta in metas {
+        for (key, truth) in [("fx", truth.fx), ("fy", truth.fy)] {
+            let found = meta["intrinsics"][key].as_f64().unwrap();
+            assert!((found / truth - 1.0).abs() < 0.012, "{key}: {found}");
+        }
+    }
 }
 
 /// The recording again, with the IR image's content moved right and down.

@@ -1,6 +1,6 @@
 //! Small recordings, and the program as a process.
 
-use depth_camera::{DepthCamera, Sensor};
+use depth_camera::{CameraInfo, DepthCamera, Sensor};
 use nalgebra::center;
 use replay::SessionWriter;
 use serde_json::Value;
@@ -34,7 +34,13 @@ pub fn small_camera(n_frames: usize, reduction: usize) -> SimulatedCamera {
 
 /// Records all that a camera delivers.
 pub fn record(mut camera: SimulatedCamera, folder: &Path) {
-    let mut writer = SessionWriter::create(folder, camera.info(), 5000.0).unwrap();
+    let info = camera.info().clone();
+    record_as(&info, &mut camera, folder);
+}
+
+/// The same as if of a camera that is said to be another.
+pub fn record_as(said: &CameraInfo, camera: &mut SimulatedCamera, folder: &Path) {
+    let mut writer = SessionWriter::create(folder, said, 5000.0).unwrap();
     while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
         writer.write(&frame).unwrap();
     }
