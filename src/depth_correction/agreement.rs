@@ -1,5 +1,6 @@
 //! How far views of one surface lie apart.
 
+use super::slow_field::SlowField;
 use crate::geometry::{
     CellGrid, DepthPatch, MotionEquations, Pose, RayGrid, increment, point_to_plane_row,
 };
@@ -34,22 +35,26 @@ pub(super) struct Agreement<'a> {
 pub(super) struct View {
     world_from_camera: Pose,
     patches: Vec<Option<DepthPatch>>,
-    /// How much longer than the camera's the focal length is by which patches were put where they are, as a share.
-    longer_focus: f64,
+    /// By what shares of themselves the focal lengths by which patches were put where they are are longer than the camera's, across and down.
+    longer_focus: [f64; 2],
 }
 
 /// A patch of one view, and that of another one on the same surface.
-pub(super) struct Pair<'v> {
-    pub(super) patch: &'v DepthPatch,
-    /// The other view,
+pub(super) struct Pair {
+    /// The other view.
     pub(super) other: usize,
-    /// its patch, in its frame,
-    pub(super) seen: &'v DepthPatch,
-    /// and its normal in the frame of the first.
+    /// Where each view's own patch is, in its frame.
+    pub(super) centres: [Point3<f64>; 2],
+    /// The normal midway between those of both, in the frame of the first,
     pub(super) normal: Vector3<f64>,
-    /// Where the first one's patch is in the other's frame.
-    pub(super) at: Point3<f64>,
-    /// How far before the other's plane it lies, metres.
+    /// and in that of the other.
+    pub(super) normal_there: Vector3<f64>,
+    /// Midway between the two patches, in the frame of the first, and in that of the other. As views turn, so does the normal, which makes
+    /// this place the one that tells how they come to lie.
+    pub(super) between: Point3<f64>,
+    pub(super) between_there: Point3<f64>,
+    /// How far the first one's patch lies before the other one along that normal, metres. Two places of a round surface do not lie apart by it (the
+    /// symmetric objective of Rusinkiewicz, ACM Transactions on Graphics 38(4), 2019), while either lies behind the plane of the other.
     pub(super) apart_m: f64,
 }
 
@@ -68,7 +73,7 @@ impl<'a> Agreement<'a> {
         let patch = |cell: usize| DepthPatch::fit(depth_m, self.rays, square(cell));
         View {
             world_from_camera: *world_from_camera,
-            longer_focus: 0.0,
+            longer_focus: [0.0; 2],
             patches: (0..self.cells.n_cells()).map(patch).collect(),
         }
     }
@@ -91,7 +96,7 @@ impl<'a> Agreement<'a> {
         &'v self,
         views: &'v [View],
         index: usize,
-    ) -> impl Iterator<Item = Pair<'v>> + 'v {
+    ) -> impl Iterator<Item = Pair> + 'v {
         let view = &views[index];
         let is_seen_in = move |k: usize| (k > index) == (k + index).is_multiple_of(2);
         let others = views.iter().enumerate();
@@ -102,21 +107,26 @@ impl<'a> Agreement<'a> {
             patches.filter_map(move |patch| {
                 let at = other_from_view * patch.centre;
                 let camera = self.rays.camera();
-                let wider = 1.0 + other.longer_focus;
-                let pixel = camera.project(&Point3::new(wider * at.x, wider * at.y, at.z));
+                let [x, y] = other.longer_focus.map(|by| 1.0 + by);
+                let pixel = camera.project(&Point3::new(x * at.x, y * at.y, at.z));
                 let pixel = pixel.filter(|pixel| camera.contains(pixel, 0.0))?;
                 let cell = self.cells.cell_of((pixel.x as usize, pixel.y as usize))?;
                 let seen = other.patches[cell].as_ref()?;
+                let own = other_from_view * patch.normal;
+                let both = own + seen.normal;
+                let normal_there = both / both.norm();
+                let between_there = nalgebra::center(&at, &seen.centre);
                 let pair = Pair {
-                    patch,
                     other: k,
-                    seen,
-                    normal: other_from_view.rotation.inverse() * seen.normal,
-                    at,
-                    apart_m: seen.normal.dot(&(at - seen.centre)),
+                    centres: [patch.centre, seen.centre],
+                    normal: other_from_view.rotation.inverse() * normal_there,
+                    normal_there,
+                    between: other_from_view.inverse() * between_there,
+                    between_there,
+                    apart_m: normal_there.dot(&(at - seen.centre)),
                 };
-                let is_one_surface = pair.normal.dot(&patch.normal) >= MIN_COSINE
-                    && pair.apart_m.abs() <= MAX_APART_M;
+                let is_one_surface =
+                    own.dot(&seen.normal) >= MIN_COSINE && pair.apart_m.abs() <= MAX_APART_M;
                 is_one_surface.then_some(pair)
             })
         })
@@ -129,10 +139,18 @@ fn cost(apart_m: f64) -> f64 {
 }
 
 impl View {
-    /// The same seen with a focal length that is longer by a share: narrower, and as deep.
-    pub(super) fn with_longer_focus(mut self, by: f64) -> Self {
-        let wider = 1.0 + by;
-        let across = Vector3::new(wider, wider, 1.0);
+    /// The same without a slow error of depth; planes stay as they are turned.
+    pub(super) fn without(mut self, field: &SlowField) -> Self {
+        for patch in self.patches.iter_mut().flatten() {
+            patch.centre.coords *= 1.0 - field.share_at(&patch.centre);
+        }
+        self
+    }
+
+    /// The same seen with focal lengths that are longer by shares, across and down: narrower, and as deep.
+    pub(super) fn with_longer_focus(mut self, by: [f64; 2]) -> Self {
+        let [x, y] = by.map(|by| 1.0 + by);
+        let across = Vector3::new(x, y, 1.0);
         for patch in self.patches.iter_mut().flatten() {
             patch.centre.coords.component_div_assign(&across);
             patch.normal.component_mul_assign(&across);

@@ -1,5 +1,5 @@
 //! What is wrong with the depth of every frame alike, before anything finer can be told: the rays that it was computed by
-//! ([`RayOrder`]), a constant of the range, and a wiggle.
+//! ([`RayOrder`]), a constant of the range, and a wiggle; and, of a Kinect I, by rays of other focal lengths.
 //!
 //! The phase of a time-of-flight sensor has a constant of its own, 24 mm, say users of a Kinect II, which drifts by millimetres as the
 //! device warms up. Scanned from one distance it makes a scene larger; but what is far is made so by less than what is near, and what is
@@ -45,14 +45,12 @@ const MAX_SHARE_OF_CONSTANT: f64 = 0.99;
 /// looks like one of up to 4 mm, in a bowl of 7, and in twelve frames of a sensor without multipath of 8), and a larger one no device has.
 const BELIEVED_M: RangeInclusive<f64> = 0.01..=0.04;
 
-/// A focal length is believed to be another from this share on: of lenses that are as they are said to be −0.2 to 1.1 % is told, since round
-/// surfaces, and the slow error of depth, look like a lens that is longer.
+/// Focal lengths are believed to be others if one is off by this share or more: of lenses that are as they are said to be −1.0 to 0.9 % is told.
 const MIN_FOCAL: f64 = 0.012;
-/// Once it is another, so much more is, too.
+/// Once they are, so much more is, too.
 const MIN_FURTHER_FOCAL: f64 = 0.004;
-/// It is another one if views disagree by no more than this share with it: a wider scene lies farther apart in itself, so that of one that is
-/// 2 % shorter they hardly tell by that.
-const MAX_SHARE_OF_FOCAL: f64 = 1.005;
+/// They are if views disagree by no more than this share of what a slow error alone leaves: 0.90 to 0.998 where they were.
+const MAX_SHARE_OF_FOCAL: f64 = 1.0;
 
 /// Views of a scan that are compared.
 pub(super) struct Views<'a> {
@@ -186,30 +184,33 @@ impl<'a> Views<'a> {
         }
     }
 
-    /// By how much of itself the focal length is longer than the one by which they were seen, which may have been found to be another than
-    /// it is said to be; `None` where that is not to be believed.
-    pub(super) fn longer_focus(&self, is_another: bool) -> Option<f64> {
+    /// By what shares of themselves the focal lengths are longer than those by which they were seen, across and down, which may have been
+    /// found to be others than they are said to be; `None` where that is not to be believed.
+    pub(super) fn longer_focus(&self, are_others: bool) -> Option<[f64; 2]> {
         let seen = self.in_order(None);
-        let told = self.fit(&seen, Asked::FocalLength, true)?;
-        let focal = told.mistake.focal;
-        let least = if is_another {
-            MIN_FURTHER_FOCAL
-        } else {
-            MIN_FOCAL
+        let told = self.fit(&seen, Asked::FocalLengths, true)?;
+        let longer = told.mistake.longer_focus;
+        let least = match are_others {
+            true => MIN_FURTHER_FOCAL,
+            false => MIN_FOCAL,
         };
+        // A slow error alone explains a part.
         let share = || {
-            let as_it_is = self.fit(&seen, Asked::Nothing, true)?;
-            Some(told.disagreement / as_it_is.disagreement)
+            let as_they_are = self.fit(&seen, Asked::SlowField, true)?;
+            Some(told.disagreement / as_they_are.disagreement)
         };
-        let share = (focal.abs() >= least).then(share).flatten();
+        let is_more = longer.iter().any(|longer| longer.abs() >= least);
+        let share = is_more.then(share).flatten();
+        let [across, down] = longer.map(|longer| 100.0 * longer);
         tracing::info!(
-            longer_percent = 100.0 * focal,
+            across_percent = across,
+            down_percent = down,
             share,
-            "focal length: how much longer it is by how views of one surface agree, and how far they disagree with it"
+            "focal lengths: how much longer they are by how views of one surface agree, and how far they disagree with them"
         );
         share
             .is_some_and(|share| share <= MAX_SHARE_OF_FOCAL)
-            .then_some(focal)
+            .then_some(longer)
     }
 
     /// What they tell, their rays in one order, in which they are best fitted by a `wiggle`; `None` if too few see one surface.
@@ -257,13 +258,8 @@ impl<'a> Views<'a> {
         let (mistake, views) = settling.settled(ordered.poses.clone(), |mistake, poses| {
             let error = mistake.curve.at_all_ranges();
             let view = |(depth_m, pose): (&Cow<Image<f32>>, &Pose)| {
-                let view = self
-                    .agreement
-                    .view(&error.corrected(depth_m, self.grid), pose);
-                match mistake.focal == 0.0 {
-                    true => view,
-                    false => view.with_longer_focus(mistake.focal),
-                }
+                let corrected = error.corrected(depth_m, self.grid);
+                mistake.undone(self.agreement.view(&corrected, pose))
             };
             let views = ordered.depths_m.par_iter().zip(poses);
             views.map(view).collect()
@@ -357,25 +353,42 @@ mod tests {
     }
 
     #[test]
-    fn views_tell_of_a_focal_length_that_is_not_what_it_is_said_to_be() {
+    fn views_tell_of_focal_lengths_that_are_not_what_they_are_said_to_be() {
         let rays = rays();
-        for truth in [-0.03, 0.0, 0.02] {
+        for (truth, bowl_m) in [
+            ([-0.03; 2], 0.0),
+            ([0.0; 2], 0.0),
+            ([0.02; 2], 0.0),
+            ([0.03, 0.0], 0.0),
+            ([0.01, -0.02], 0.0),
+            ([0.0; 2], 0.02),
+            ([0.02; 2], -0.02),
+        ] {
             let lens = RayGrid::new(rays.camera().with_longer_focus(truth));
+            // A slow error that grows with the square of depth, and towards the border of the image.
+            let bent = |depth_m: &Image<f32>| {
+                let pixels = depth_m.data().iter().zip(lens.rays().data());
+                let bent = pixels.map(|(z, [x, y])| z + bowl_m * z * z * (x * x + y * y));
+                Image::from_vec(depth_m.width(), depth_m.height(), bent.collect())
+            };
             let seen: Vec<_> = poses()
                 .iter()
-                .map(|pose| (seen(&lens, pose), *pose))
+                .map(|pose| (bent(&seen(&lens, pose)), *pose))
                 .collect();
-            // Waves are no planes, which passes for 1 %.
-            let mut said = 0.0;
+            let mut said = [0.0; 2];
             for round in 0..3 {
                 let rays = RayGrid::new(rays.camera().with_longer_focus(said));
-                let told = Views::new(seen.clone(), false, &rays).longer_focus(said != 0.0);
+                let told = Views::new(seen.clone(), false, &rays).longer_focus(said != [0.0; 2]);
                 if round == 0 {
-                    assert_eq!(told.is_some(), truth != 0.0, "{truth}: {told:?}");
+                    let case = format!("{truth:?}, {bowl_m} m: {told:?}");
+                    assert_eq!(told.is_some(), truth != [0.0; 2], "{case}");
                 }
-                said += told.unwrap_or(0.0);
+                let by = told.unwrap_or([0.0; 2]);
+                said = [said[0] + by[0], said[1] + by[1]];
             }
-            assert!((said - truth).abs() < 0.015, "{said} for {truth}");
+            for (said, truth) in said.into_iter().zip(truth) {
+                assert!((said - truth).abs() < 0.01, "{said} for {truth}, {bowl_m} m");
+            }
         }
     }
 

@@ -2,7 +2,7 @@
 //! itself tells more, once more at its end: how strong multipath is, and what surface it falls on.
 //!
 //! A Kinect II suffers from multipath, and from an error by range alone, a constant and a wiggle, and a decoder may have computed its depth
-//! by the rays of the wrong rows; a Kinect I has a slow error of its depth, a lens of a focal length of its own, and reads its rows one after
+//! by the rays of the wrong rows; a Kinect I has a slow error of its depth, a lens of focal lengths of its own, and reads its rows one after
 //! the other. Only the frames of a whole scan tell all but multipath ([`RangeError`], [`DepthField`](crate::fusion::DepthField),
 //! [`RollingShutter`](crate::fusion::RollingShutter)). Pure: what is predicted of the frames is kept here as long as fusion holds them.
 
@@ -15,6 +15,7 @@ mod predictions;
 mod ray_order;
 mod revision;
 mod settling;
+mod slow_field;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -317,10 +317,17 @@ impl DepthCorrection {
         }
         let views = Views::of(fusion.keyframes(), false, self.rays_of(known));
         let longer = views.longer_focus(known.lens.is_some())?;
-        match &known.lens {
+        let lens = match &known.lens {
             Some(lens) => lens.plus(longer),
             None => Lens::new(&self.info.intrinsics, longer),
+        };
+        if lens.is_none() {
+            tracing::warn!(
+                ?longer,
+                "focal lengths so far from what they are said to be are not believed"
+            );
         }
+        lens
     }
 
     /// The sensor's slow error that the frames of a scan still show.
@@ -436,7 +443,10 @@ impl DepthCorrection {
                 .map(|error| 1e3 * error.largest_m()),
             field_rms_mm = known.field.as_ref().map(|field| 1e3 * field.rms()),
             readout_ms = known.shutter.map(|shutter| 1e3 * shutter.readout_secs),
-            focus_longer_percent = known.lens.as_ref().map(Lens::longer_percent),
+            focus_longer_percent = known
+                .lens
+                .as_ref()
+                .map(|lens| tracing::field::debug(lens.longer_percent())),
             "fused again with its depth corrected"
         );
         Some(Revised {

@@ -3,15 +3,17 @@
 //! Where views were tracked, most of what they are off by alike passes for motions of the camera, and a constant of the range for part
 //! of a wiggle, which goes to and fro with range. So all of them are told at once, by Gauss-Newton steps over every pair of patches.
 //! A wiggle is a sum of sines whose periods the sensor's frequencies give, not any smooth curve: but for the scale of the scene, which
-//! no scan tells, a constant is a share of the range, and a curve that may grow with range is one. A focal length is told by surfaces that
-//! face different ways: with a longer one all that was seen is narrower, and as deep as it was.
+//! no scan tells, a constant is a share of the range, and a curve that may grow with range is one. Focal lengths are told by surfaces that
+//! face different ways: with a longer one all that was seen is narrower, and as deep as it was. A slow error of depth passes for one, and is
+//! told beside them.
 
 use super::agreement::{Agreement, DAMPING, Pair, SCALE_M, View};
+use super::slow_field::{self, SlowField};
 use crate::{
     geometry::{Pose, RangeError, increment, point_to_plane_row},
     robust::quantile,
 };
-use nalgebra::{DMatrix, DVector, Point3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector6};
 use rayon::prelude::*;
 use std::{f64::consts::TAU, ops::Range};
 
@@ -20,12 +22,16 @@ use std::{f64::consts::TAU, ops::Range};
 const PERIODS_M: [f64; 3] = [0.3123, 0.4164, 0.4684];
 /// Parts of an error by range: a constant, and a sine and a cosine of each period.
 const N_OF_RANGE: usize = 1 + 2 * PERIODS_M.len();
-/// Parts of what is told: those, and the focal length.
-const N_PARTS: usize = N_OF_RANGE + 1;
+/// Parts of what is told: those, the focal lengths across and down, and those of a slow error.
+const N_PARTS: usize = FIELD + slow_field::N_PARTS;
 const CONSTANT: usize = 0;
-const FOCAL: usize = N_OF_RANGE;
-/// Unknowns that a pair depends on: the parts, and the motions of its two views.
-const N_OF_PAIR: usize = N_PARTS + 12;
+const ACROSS: usize = N_OF_RANGE;
+const DOWN: usize = ACROSS + 1;
+const FIELD: usize = DOWN + 1;
+/// Unknowns of the motions of a pair's two views.
+const N_OF_MOTIONS: usize = 12;
+/// Unknowns that a pair depends on, at most: the parts, and those.
+const N_OF_PAIR: usize = N_PARTS + N_OF_MOTIONS;
 /// How far each part of a wiggle may be off before anything is known, metres,
 const PRIOR_M: f64 = 0.005;
 /// which counts as much as so many pairs, a tenth of them: those of one surface share their mistakes, and the parts are nearly alike over
@@ -34,7 +40,9 @@ const PRIOR_PAIRS: f64 = 30_000.0;
 /// How far a focal length may be off before anything is known, as a share of it; which counts as much as this share of all pairs: where
 /// views hardly tell it, it stays what it is said to be.
 const FOCAL_PRIOR: f64 = 0.02;
-const FOCAL_PRIOR_SHARE: f64 = 0.0005;
+/// How far each part of a slow error may be off, metres, likewise.
+const FIELD_PRIOR_M: f64 = 0.003;
+const LENS_PRIOR_SHARE: f64 = 0.0005;
 /// Pairs that lie farther apart count for less than half, step by step, as multiples of what they do in the end. The last step changes a
 /// constant by 0.2 mm at most.
 const SCALES: [f64; 6] = [4.0, 2.0, 1.0, 1.0, 1.0, 1.0];
@@ -48,7 +56,9 @@ pub(super) enum Asked {
     Constant,
     Wiggle,
     ConstantAndWiggle,
-    FocalLength,
+    SlowField,
+    /// And a slow error.
+    FocalLengths,
 }
 
 /// How views are settled.
@@ -67,8 +77,10 @@ pub(super) struct Curve([f64; N_OF_RANGE]);
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Mistake {
     pub(super) curve: Curve,
-    /// By how much of itself the focal length is longer than the one by which views are seen.
-    pub(super) focal: f64,
+    /// By what shares of themselves the focal lengths across and down are longer than those by which views are seen.
+    pub(super) longer_focus: [f64; 2],
+    /// What of a slow error passes for that.
+    field: SlowField,
 }
 
 /// Normal equations, of which the lower triangle is filled.
@@ -124,12 +136,33 @@ fn parts(range_m: f64) -> [f64; N_OF_RANGE] {
 }
 
 impl Mistake {
+    /// A view without it but for the error by range.
+    pub(super) fn undone(&self, view: View) -> View {
+        let is_lens_right = self.longer_focus == [0.0; 2] && self.field == SlowField::default();
+        match is_lens_right {
+            true => view,
+            false => view
+                .without(&self.field)
+                .with_longer_focus(self.longer_focus),
+        }
+    }
+
     fn part(&self, part: usize) -> f64 {
-        self.curve.0.get(part).copied().unwrap_or(self.focal)
+        match part {
+            ACROSS => self.longer_focus[0],
+            DOWN => self.longer_focus[1],
+            FIELD.. => self.field.0[part - FIELD],
+            _ => self.curve.0[part],
+        }
     }
 
     fn part_mut(&mut self, part: usize) -> &mut f64 {
-        self.curve.0.get_mut(part).unwrap_or(&mut self.focal)
+        match part {
+            ACROSS => &mut self.longer_focus[0],
+            DOWN => &mut self.longer_focus[1],
+            FIELD.. => &mut self.field.0[part - FIELD],
+            _ => &mut self.curve.0[part],
+        }
     }
 }
 
@@ -173,7 +206,8 @@ impl Settling<'_> {
             let (pairs, known_to) = match part {
                 // It may be anything.
                 CONSTANT => continue,
-                FOCAL => (FOCAL_PRIOR_SHARE * equations.weight, FOCAL_PRIOR),
+                ACROSS | DOWN => (LENS_PRIOR_SHARE * equations.weight, FOCAL_PRIOR),
+                FIELD.. => (LENS_PRIOR_SHARE * equations.weight, FIELD_PRIOR_M),
                 _ => (PRIOR_PAIRS, PRIOR_M),
             };
             let prior = pairs * variance / (known_to * known_to);
@@ -207,6 +241,8 @@ impl Settling<'_> {
             SVector::<f64, N_OF_PAIR>::zeros(),
         );
         let mut with = index;
+        let parts = self.asked.parts();
+        let n_of_pair = parts.len() + N_OF_MOTIONS;
         // Pairs with one view come one after the other.
         for pair in self.agreement.pairs(views, index) {
             if pair.other != with {
@@ -215,8 +251,10 @@ impl Settling<'_> {
                 with = pair.other;
             }
             let weight = 1.0 / (1.0 + (pair.apart_m / scale_m).powi(2));
-            let row = row(&pair, curve);
-            block.0.syger(weight, &row, &row, 1.0);
+            let row = row(&pair, curve, parts.clone());
+            let asked = row.rows(0, n_of_pair);
+            let mut products = block.0.view_mut((0, 0), (n_of_pair, n_of_pair));
+            products.syger(weight, &asked, &asked, 1.0);
             block.1.axpy(-weight * pair.apart_m, &row, 1.0);
             equations.squares += weight * pair.apart_m * pair.apart_m;
             equations.weight += weight;
@@ -225,17 +263,18 @@ impl Settling<'_> {
         equations
     }
 
-    /// Where the unknowns of a pair of views are among all, as far as they are told.
+    /// Where the unknowns of a pair of views are among all.
     fn unknowns(&self, index: usize, other: usize) -> [Option<usize>; N_OF_PAIR] {
-        let parts = self.asked.parts();
+        let n_parts = self.asked.parts().len();
         let mut unknowns = [None; N_OF_PAIR];
-        for (at, part) in parts.clone().enumerate() {
-            unknowns[part] = Some(at);
+        for (at, unknown) in unknowns[..n_parts].iter_mut().enumerate() {
+            *unknown = Some(at);
         }
         if self.are_moved {
-            for (motion, view) in unknowns[N_PARTS..].chunks_exact_mut(6).zip([index, other]) {
+            let motions = unknowns[n_parts..].chunks_exact_mut(6);
+            for (motion, view) in motions.zip([index, other]) {
                 for (k, unknown) in motion.iter_mut().enumerate() {
-                    *unknown = Some(parts.len() + 6 * view + k);
+                    *unknown = Some(n_parts + 6 * view + k);
                 }
             }
         }
@@ -243,25 +282,52 @@ impl Settling<'_> {
     }
 }
 
-/// How much farther a pair comes to lie apart by a unit of each unknown: of the parts of what is taken off, beside a curve that is, and of
-/// the motions of both views.
-fn row(pair: &Pair, curve: &Curve) -> SVector<f64, N_OF_PAIR> {
-    let Pair { patch, seen, .. } = pair;
-    let [here, there] = [&patch.centre, &seen.centre].map(|centre| centre.coords.norm());
-    let by_here = pair.normal.dot(&patch.centre.coords) / here;
-    let by_there = seen.normal.dot(&seen.centre.coords) / there;
-    let [here, there] = [here, there].map(|range_m| curve.parts_of_corrected(range_m));
-    let mut row = SVector::<f64, N_OF_PAIR>::zeros();
-    for (value, (here, there)) in row.iter_mut().zip(here.into_iter().zip(there)) {
-        *value = there * by_there - here * by_here;
+/// How much farther a pair comes to lie apart by a unit of each unknown: of some parts of what is taken off, beside a curve that is, and of
+/// the motions of both views. What follows those is 0.
+fn row(pair: &Pair, curve: &Curve, parts: Range<usize>) -> SVector<f64, N_OF_PAIR> {
+    let Pair {
+        between,
+        between_there,
+        ..
+    } = pair;
+    let mut by_parts = [0.0; N_PARTS];
+    let (of_range, of_lens) = by_parts.split_at_mut(N_OF_RANGE);
+    if !parts.is_empty() && parts.start < N_OF_RANGE {
+        let places = [(between, &pair.normal), (between_there, &pair.normal_there)];
+        let [here, there] = places.map(|(place, normal)| {
+            let range_m = place.coords.norm();
+            let by = normal.dot(&place.coords) / range_m;
+            curve.parts_of_corrected(range_m).map(|part| part * by)
+        });
+        for (value, (here, there)) in of_range.iter_mut().zip(here.into_iter().zip(there)) {
+            *value = there - here;
+        }
     }
-    // Across the axis all shrinks in proportion.
-    let across = |normal: &Vector3<f64>, centre: &Point3<f64>| normal.xy().dot(&centre.coords.xy());
-    row[FOCAL] = across(&seen.normal, &seen.centre) - across(&pair.normal, &patch.centre);
-    let moved = point_to_plane_row(&patch.centre.coords, &pair.normal);
-    let other_moved = point_to_plane_row(&pair.at.coords, &seen.normal);
-    row.fixed_rows_mut::<6>(N_PARTS).copy_from(&moved);
-    row.fixed_rows_mut::<6>(N_PARTS + 6)
+    if parts.end > N_OF_RANGE {
+        let (of_focus, of_field) = of_lens.split_at_mut(FIELD - ACROSS);
+        // Across the axis all shrinks in proportion.
+        for (axis, value) in of_focus.iter_mut().enumerate() {
+            *value =
+                pair.normal_there[axis] * between_there[axis] - pair.normal[axis] * between[axis];
+        }
+        // Planes are not turned by it.
+        let [here, there] = &pair.centres;
+        let along_m = [
+            pair.normal.dot(&here.coords),
+            pair.normal_there.dot(&there.coords),
+        ];
+        let [here, there] = [here, there].map(slow_field::parts);
+        for (value, (here, there)) in of_field.iter_mut().zip(here.into_iter().zip(there)) {
+            *value = there * along_m[1] - here * along_m[0];
+        }
+    }
+    let n_parts = parts.len();
+    let mut row = SVector::<f64, N_OF_PAIR>::zeros();
+    row.as_mut_slice()[..n_parts].copy_from_slice(&by_parts[parts]);
+    let moved = point_to_plane_row(&between.coords, &pair.normal);
+    let other_moved = point_to_plane_row(&between_there.coords, &pair.normal_there);
+    row.fixed_rows_mut::<6>(n_parts).copy_from(&moved);
+    row.fixed_rows_mut::<6>(n_parts + 6)
         .copy_from(&-other_moved);
     row
 }
@@ -274,7 +340,8 @@ impl Asked {
             Asked::Constant => 0..1,
             Asked::Wiggle => 1..N_OF_RANGE,
             Asked::ConstantAndWiggle => 0..N_OF_RANGE,
-            Asked::FocalLength => FOCAL..N_PARTS,
+            Asked::SlowField => FIELD..N_PARTS,
+            Asked::FocalLengths => ACROSS..N_PARTS,
         }
     }
 }
@@ -338,10 +405,8 @@ mod tests {
         mistake: &Mistake,
     ) -> Vec<View> {
         let error = mistake.curve.at_all_ranges();
-        let view = |(depth_m, pose)| {
-            let view = agreement.view(&error.corrected(depth_m, rays), pose);
-            view.with_longer_focus(mistake.focal)
-        };
+        let view =
+            |(depth_m, pose)| mistake.undone(agreement.view(&error.corrected(depth_m, rays), pose));
         depths_m.iter().zip(poses).map(view).collect()
     }
 
@@ -352,13 +417,15 @@ mod tests {
         let depths_m = &depths_m(&rays)[..2];
         let poses = wavy_wall::poses();
         let mut mistake = Mistake::default();
-        (mistake.curve.0[0], mistake.curve.0[2], mistake.focal) = (0.02, 0.003, 0.01);
+        (mistake.curve.0[0], mistake.curve.0[2]) = (0.02, 0.003);
+        mistake.longer_focus = [0.01, -0.005];
+        (mistake.field.0[0], mistake.field.0[7]) = (0.002, -0.003);
         // Of two views the second is asked.
         let (index, other) = (1, 0);
         let here = views(&agreement, &rays, depths_m, &poses[..2], &mistake);
         let rows: Vec<_> = agreement
             .pairs(&here, index)
-            .map(|pair| row(&pair, &mistake.curve))
+            .map(|pair| row(&pair, &mistake.curve, 0..N_PARTS))
             .collect();
         assert!(rows.len() > 100, "{} pairs", rows.len());
         for unknown in 0..N_OF_PAIR {

@@ -474,7 +474,7 @@ fn rays_that_were_upside_down_are_told_by_views_at_given_poses_and_put_right() {
 fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
     let rays = wavy_wall::rays();
     let truth = rays.camera().intrinsics();
-    let said = rays.camera().with_longer_focus(-0.02);
+    let said = rays.camera().with_longer_focus([-0.02; 2]);
     let info = CameraInfo {
         intrinsics: *said.intrinsics(),
         ..SimulatedCamera::kinect1_plaque(1, 7).info().clone()
@@ -503,9 +503,9 @@ fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
     }
     let revised = correction.revise(&fusion, &|_| true).expect("another lens");
     let found = revised.intrinsics().expect("another lens");
-    let off = found.fx / truth.fx - 1.0;
-    assert!(off.abs() < 0.008, "{found:?}: {off}");
-    assert_eq!(found.fx / found.fy, truth.fx / truth.fy);
+    for off in [found.fx / truth.fx - 1.0, found.fy / truth.fy - 1.0] {
+        assert!(off.abs() < 0.008, "{found:?}: {off}");
+    }
     let correction = DepthCorrection::new(&info, &calibration, false, &not_asked);
     let stays = correction.revise(&fusion, &|_| true);
     assert!(stays.is_none_or(|revised| revised.intrinsics().is_none()));

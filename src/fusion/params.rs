@@ -47,7 +47,7 @@ pub struct FusionParams {
     pub depth_field: bool,
     /// Whether the time in which a Kinect I's rows are read is measured by the scan itself, and its motion meanwhile taken off.
     pub rolling_shutter: bool,
-    /// Whether the focal length of a Kinect I is measured by the scan itself, and put right.
+    /// Whether the focal lengths of a Kinect I are measured by the scan itself, and put right.
     pub focal_length: bool,
     /// Whether the error that a Kinect II's depth has by range alone, wiggle or constant, is measured by the scan itself and taken off.
     pub range_error: bool,

@@ -84,12 +84,15 @@ impl CameraModel {
         })
     }
 
-    /// The same with focal lengths that are longer by a share of themselves; its distortion moves the same pixels by as much as before.
-    pub fn with_longer_focus(&self, by: f64) -> CameraModel {
-        let (i, longer) = (&self.intrinsics, 1.0 + by);
+    /// The same with focal lengths that are longer by shares of themselves, across and down; its distortion moves the same pixels by as much
+    /// as before, or nearly, where the two differ.
+    pub fn with_longer_focus(&self, by: [f64; 2]) -> CameraModel {
+        let i = &self.intrinsics;
+        let [x, y] = by.map(|by| 1.0 + by);
+        let longer = (x * y).sqrt();
         CameraModel::new(Intrinsics {
-            fx: i.fx * longer,
-            fy: i.fy * longer,
+            fx: i.fx * x,
+            fy: i.fy * y,
             k1: i.k1 * longer.powi(2),
             k2: i.k2 * longer.powi(4),
             k3: i.k3 * longer.powi(6),
