@@ -7,7 +7,7 @@
 //! scan tells it; the sensor's clock is right to some parts in a million.) A wiggle passes for a constant, and either for other rays, so
 //! that all are told together, by how well views [agree](Agreement) without them.
 
-use super::agreement::{Agreement, View};
+use super::agreement::{Agreement, Along, View};
 use super::ray_order::{RayOrder, WrongRays};
 use super::settling::{Asked, Curve, Mistake, Settling};
 use crate::{
@@ -114,7 +114,7 @@ impl GrossError {
         let Some(without_m) = self.taken_off(depth_m, grid) else {
             return Pose::identity();
         };
-        let agreement = Agreement::of(grid);
+        let agreement = Agreement::of(grid, Along::Other);
         let [without, as_it_was] =
             [&without_m, depth_m].map(|depth_m| agreement.view(depth_m, &Pose::identity()));
         without.motion_onto(&as_it_was)
@@ -134,7 +134,7 @@ impl<'a> Views<'a> {
     }
 
     fn new(views: Vec<(Image<f32>, Pose)>, are_given: bool, grid: &'a RayGrid) -> Self {
-        let agreement = Agreement::of(grid);
+        let agreement = Agreement::of(grid, Along::Other);
         let fitted = views
             .par_iter()
             .map(|(depth_m, pose)| agreement.view(depth_m, pose));
@@ -250,8 +250,9 @@ impl<'a> Views<'a> {
 
     /// What is asked for with which they agree best, where they lie or moved to where they agree best; `None` if too few see one surface.
     fn fit(&self, ordered: &Ordered, asked: Asked, are_moved: bool) -> Option<Fit> {
+        let agreement = Agreement::of(self.grid, asked.along());
         let settling = Settling {
-            agreement: &self.agreement,
+            agreement: &agreement,
             are_moved,
             asked,
         };
@@ -259,14 +260,14 @@ impl<'a> Views<'a> {
             let error = mistake.curve.at_all_ranges();
             let view = |(depth_m, pose): (&Cow<Image<f32>>, &Pose)| {
                 let corrected = error.corrected(depth_m, self.grid);
-                mistake.undone(self.agreement.view(&corrected, pose))
+                mistake.undone(agreement.view(&corrected, pose))
             };
             let views = ordered.depths_m.par_iter().zip(poses);
             views.map(view).collect()
         })?;
         Some(Fit {
             mistake,
-            disagreement: self.agreement.disagreement(&views)?,
+            disagreement: agreement.disagreement(&views)?,
         })
     }
 
@@ -387,7 +388,10 @@ mod tests {
                 said = [said[0] + by[0], said[1] + by[1]];
             }
             for (said, truth) in said.into_iter().zip(truth) {
-                assert!((said - truth).abs() < 0.01, "{said} for {truth}, {bowl_m} m");
+                assert!(
+                    (said - truth).abs() < 0.01,
+                    "{said} for {truth}, {bowl_m} m"
+                );
             }
         }
     }

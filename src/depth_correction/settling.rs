@@ -7,7 +7,7 @@
 //! face different ways: with a longer one all that was seen is narrower, and as deep as it was. A slow error of depth passes for one, and is
 //! told beside them.
 
-use super::agreement::{Agreement, DAMPING, Pair, SCALE_M, View};
+use super::agreement::{Agreement, Along, DAMPING, Pair, SCALE_M, View};
 use super::slow_field::{self, SlowField};
 use crate::{
     geometry::{Pose, RangeError, increment, point_to_plane_row},
@@ -286,17 +286,18 @@ impl Settling<'_> {
 /// the motions of both views. What follows those is 0.
 fn row(pair: &Pair, curve: &Curve, parts: Range<usize>) -> SVector<f64, N_OF_PAIR> {
     let Pair {
-        between,
-        between_there,
+        centres,
+        normals,
+        levers,
         ..
     } = pair;
+    let along_m = [0, 1].map(|view| normals[view].dot(&centres[view].coords));
     let mut by_parts = [0.0; N_PARTS];
     let (of_range, of_lens) = by_parts.split_at_mut(N_OF_RANGE);
     if !parts.is_empty() && parts.start < N_OF_RANGE {
-        let places = [(between, &pair.normal), (between_there, &pair.normal_there)];
-        let [here, there] = places.map(|(place, normal)| {
-            let range_m = place.coords.norm();
-            let by = normal.dot(&place.coords) / range_m;
+        let [here, there] = [0, 1].map(|view| {
+            let range_m = centres[view].coords.norm();
+            let by = along_m[view] / range_m;
             curve.parts_of_corrected(range_m).map(|part| part * by)
         });
         for (value, (here, there)) in of_range.iter_mut().zip(here.into_iter().zip(there)) {
@@ -307,16 +308,9 @@ fn row(pair: &Pair, curve: &Curve, parts: Range<usize>) -> SVector<f64, N_OF_PAI
         let (of_focus, of_field) = of_lens.split_at_mut(FIELD - ACROSS);
         // Across the axis all shrinks in proportion.
         for (axis, value) in of_focus.iter_mut().enumerate() {
-            *value =
-                pair.normal_there[axis] * between_there[axis] - pair.normal[axis] * between[axis];
+            *value = normals[1][axis] * levers[1][axis] - normals[0][axis] * levers[0][axis];
         }
-        // Planes are not turned by it.
-        let [here, there] = &pair.centres;
-        let along_m = [
-            pair.normal.dot(&here.coords),
-            pair.normal_there.dot(&there.coords),
-        ];
-        let [here, there] = [here, there].map(slow_field::parts);
+        let [here, there] = centres.map(|centre| slow_field::parts(&centre));
         for (value, (here, there)) in of_field.iter_mut().zip(here.into_iter().zip(there)) {
             *value = there * along_m[1] - here * along_m[0];
         }
@@ -324,8 +318,8 @@ fn row(pair: &Pair, curve: &Curve, parts: Range<usize>) -> SVector<f64, N_OF_PAI
     let n_parts = parts.len();
     let mut row = SVector::<f64, N_OF_PAIR>::zeros();
     row.as_mut_slice()[..n_parts].copy_from_slice(&by_parts[parts]);
-    let moved = point_to_plane_row(&between.coords, &pair.normal);
-    let other_moved = point_to_plane_row(&between_there.coords, &pair.normal_there);
+    let [moved, other_moved] =
+        [0, 1].map(|view| point_to_plane_row(&levers[view].coords, &normals[view]));
     row.fixed_rows_mut::<6>(n_parts).copy_from(&moved);
     row.fixed_rows_mut::<6>(n_parts + 6)
         .copy_from(&-other_moved);
@@ -333,6 +327,14 @@ fn row(pair: &Pair, curve: &Curve, parts: Range<usize>) -> SVector<f64, N_OF_PAI
 }
 
 impl Asked {
+    /// Along which normal views are compared for it.
+    pub(super) fn along(self) -> Along {
+        match self {
+            Asked::SlowField | Asked::FocalLengths => Along::Midway,
+            _ => Along::Other,
+        }
+    }
+
     /// The parts that are told.
     fn parts(self) -> Range<usize> {
         match self {
@@ -412,8 +414,15 @@ mod tests {
 
     #[test]
     fn pairs_come_to_lie_apart_as_their_rows_say() {
+        // A lens is asked for along the normal midway alone.
+        let of_range_and_motions = (0..N_OF_RANGE).chain(N_PARTS..N_OF_PAIR);
+        assert_rows_hold(Along::Other, of_range_and_motions);
+        assert_rows_hold(Along::Midway, 0..N_OF_PAIR);
+    }
+
+    fn assert_rows_hold(along: Along, unknowns: impl Iterator<Item = usize>) {
         let rays = wavy_wall::rays();
-        let agreement = Agreement::of(&rays);
+        let agreement = Agreement::of(&rays, along);
         let depths_m = &depths_m(&rays)[..2];
         let poses = wavy_wall::poses();
         let mut mistake = Mistake::default();
@@ -428,7 +437,7 @@ mod tests {
             .map(|pair| row(&pair, &mistake.curve, 0..N_PARTS))
             .collect();
         assert!(rows.len() > 100, "{} pairs", rows.len());
-        for unknown in 0..N_OF_PAIR {
+        for unknown in unknowns {
             // Depth is in single precision; a motion may bring a patch into another cell.
             let step = if unknown < N_PARTS { 2e-4 } else { 1e-6 };
             let at = |by: f64| {
@@ -459,7 +468,7 @@ mod tests {
             // Planes turn a little as the error bends them, which rows leave out.
             assert!(
                 (found / told - 1.0).abs() < 0.05,
-                "{unknown}: {found} for {told}"
+                "{along:?}, {unknown}: {found} for {told}"
             );
         }
     }
@@ -467,7 +476,7 @@ mod tests {
     #[test]
     fn a_view_that_sees_nothing_stays_where_it_is_and_hides_nothing() {
         let rays = wavy_wall::rays();
-        let agreement = Agreement::of(&rays);
+        let agreement = Agreement::of(&rays, Along::Other);
         let mut depths_m = depths_m(&rays);
         for depth_m in &mut depths_m {
             *depth_m = RangeError::constant(-0.02).corrected(depth_m, &rays);
