@@ -40,7 +40,6 @@ pub(super) enum Along {
 pub(super) struct Agreement<'a> {
     rays: &'a RayGrid,
     cells: CellGrid,
-    along: Along,
 }
 
 /// A view's patches by their cell.
@@ -67,12 +66,11 @@ pub(super) struct Pair {
 }
 
 impl<'a> Agreement<'a> {
-    pub(super) fn of(rays: &'a RayGrid, along: Along) -> Self {
+    pub(super) fn of(rays: &'a RayGrid) -> Self {
         let grid = rays.rays();
         Agreement {
             rays,
             cells: CellGrid::new(grid.width(), grid.height(), COLUMNS),
-            along,
         }
     }
 
@@ -89,9 +87,11 @@ impl<'a> Agreement<'a> {
 
     /// How far views of one surface lie apart where they are: the mean of a cost that grows with the square of what is small beside the
     /// scale that agreeing ones scatter by, and hardly with what is large; `None` if too few see one.
-    pub(super) fn disagreement(&self, views: &[View]) -> Option<f64> {
+    pub(super) fn disagreement(&self, views: &[View], along: Along) -> Option<f64> {
         let of_view = |index: usize| {
-            let costs = self.pairs(views, index).map(|pair| cost(pair.apart_m));
+            let costs = self
+                .pairs(views, index, along)
+                .map(|pair| cost(pair.apart_m));
             costs.fold((0.0, 0), |(sum, n), cost| (sum + cost, n + 1))
         };
         let each: Vec<(f64, usize)> = (0..views.len()).into_par_iter().map(of_view).collect();
@@ -105,6 +105,7 @@ impl<'a> Agreement<'a> {
         &'v self,
         views: &'v [View],
         index: usize,
+        along: Along,
     ) -> impl Iterator<Item = Pair> + 'v {
         let view = &views[index];
         let is_seen_in = move |k: usize| (k > index) == (k + index).is_multiple_of(2);
@@ -125,7 +126,7 @@ impl<'a> Agreement<'a> {
                 if turned.dot(&patch.normal) < MIN_COSINE {
                     return None;
                 }
-                let (normals, levers) = match self.along {
+                let (normals, levers) = match along {
                     Along::Other => ([turned, seen.normal], [patch.centre, at]),
                     Along::Midway => {
                         let normal = (turned + patch.normal) / (turned + patch.normal).norm();

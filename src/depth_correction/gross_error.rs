@@ -7,7 +7,7 @@
 //! scan tells it; the sensor's clock is right to some parts in a million.) A wiggle passes for a constant, and either for other rays, so
 //! that all are told together, by how well views [agree](Agreement) without them.
 
-use super::agreement::{Agreement, Along, View};
+use super::agreement::{Agreement, View};
 use super::ray_order::{RayOrder, WrongRays};
 use super::settling::{Asked, Curve, Mistake, Settling};
 use crate::{
@@ -114,7 +114,7 @@ impl GrossError {
         let Some(without_m) = self.taken_off(depth_m, grid) else {
             return Pose::identity();
         };
-        let agreement = Agreement::of(grid, Along::Other);
+        let agreement = Agreement::of(grid);
         let [without, as_it_was] =
             [&without_m, depth_m].map(|depth_m| agreement.view(depth_m, &Pose::identity()));
         without.motion_onto(&as_it_was)
@@ -134,7 +134,7 @@ impl<'a> Views<'a> {
     }
 
     fn new(views: Vec<(Image<f32>, Pose)>, are_given: bool, grid: &'a RayGrid) -> Self {
-        let agreement = Agreement::of(grid, Along::Other);
+        let agreement = Agreement::of(grid);
         let fitted = views
             .par_iter()
             .map(|(depth_m, pose)| agreement.view(depth_m, pose));
@@ -250,9 +250,8 @@ impl<'a> Views<'a> {
 
     /// What is asked for with which they agree best, where they lie or moved to where they agree best; `None` if too few see one surface.
     fn fit(&self, ordered: &Ordered, asked: Asked, are_moved: bool) -> Option<Fit> {
-        let agreement = Agreement::of(self.grid, asked.along());
         let settling = Settling {
-            agreement: &agreement,
+            agreement: &self.agreement,
             are_moved,
             asked,
         };
@@ -260,14 +259,14 @@ impl<'a> Views<'a> {
             let error = mistake.curve.at_all_ranges();
             let view = |(depth_m, pose): (&Cow<Image<f32>>, &Pose)| {
                 let corrected = error.corrected(depth_m, self.grid);
-                mistake.undone(agreement.view(&corrected, pose))
+                mistake.undone(self.agreement.view(&corrected, pose))
             };
             let views = ordered.depths_m.par_iter().zip(poses);
             views.map(view).collect()
         })?;
         Some(Fit {
             mistake,
-            disagreement: agreement.disagreement(&views)?,
+            disagreement: self.agreement.disagreement(&views, asked.along())?,
         })
     }
 

@@ -244,7 +244,7 @@ impl Settling<'_> {
         let parts = self.asked.parts();
         let n_of_pair = parts.len() + N_OF_MOTIONS;
         // Pairs with one view come one after the other.
-        for pair in self.agreement.pairs(views, index) {
+        for pair in self.agreement.pairs(views, index, self.asked.along()) {
             if pair.other != with {
                 equations.add(&block, &self.unknowns(index, with));
                 block = (SMatrix::zeros(), SVector::zeros());
@@ -422,7 +422,7 @@ mod tests {
 
     fn assert_rows_hold(along: Along, unknowns: impl Iterator<Item = usize>) {
         let rays = wavy_wall::rays();
-        let agreement = Agreement::of(&rays, along);
+        let agreement = Agreement::of(&rays);
         let depths_m = &depths_m(&rays)[..2];
         let poses = wavy_wall::poses();
         let mut mistake = Mistake::default();
@@ -433,7 +433,7 @@ mod tests {
         let (index, other) = (1, 0);
         let here = views(&agreement, &rays, depths_m, &poses[..2], &mistake);
         let rows: Vec<_> = agreement
-            .pairs(&here, index)
+            .pairs(&here, index, along)
             .map(|pair| row(&pair, &mistake.curve, 0..N_PARTS))
             .collect();
         assert!(rows.len() > 100, "{} pairs", rows.len());
@@ -451,7 +451,7 @@ mod tests {
                     }
                 }
                 let views = views(&agreement, &rays, depths_m, &poses[..2], &mistake);
-                let pairs = agreement.pairs(&views, index);
+                let pairs = agreement.pairs(&views, index, along);
                 pairs.map(|pair| pair.apart_m).collect::<Vec<f64>>()
             };
             let (before, after) = (at(-step), at(step));
@@ -476,7 +476,7 @@ mod tests {
     #[test]
     fn a_view_that_sees_nothing_stays_where_it_is_and_hides_nothing() {
         let rays = wavy_wall::rays();
-        let agreement = Agreement::of(&rays, Along::Other);
+        let agreement = Agreement::of(&rays);
         let mut depths_m = depths_m(&rays);
         for depth_m in &mut depths_m {
             *depth_m = RangeError::constant(-0.02).corrected(depth_m, &rays);
