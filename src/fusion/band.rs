@@ -25,13 +25,24 @@ pub struct Band {
     /// Frame that touched each block last.
     touched_in: Vec<u32>,
     frame: u32,
-    /// The touched blocks, in rising order.
-    touched: Vec<u32>,
+    /// How many frames each block took, as far as they are counted.
+    n_taken: Vec<u8>,
+    /// The touched blocks: those that are not settled, then those that are.
+    touched: [Touched; 2],
     /// Blocks in free space that hold something, of those that the frame looked through.
     filled: Vec<u32>,
     refused: Refused,
     /// Where rays cross blocks, by how deep in the band.
     crossings: Vec<BlocksCrossed>,
+}
+
+/// Blocks that take a frame alike.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Touched {
+    /// For so many frames it counts there.
+    pub n_frames: i32,
+    /// The blocks, in rising order.
+    pub blocks: Vec<u32>,
 }
 
 /// Blocks that were seen and not allocated; one that is seen in many frames counts once for each.
@@ -68,8 +79,8 @@ impl Refused {
 }
 
 impl Band {
-    /// The touched blocks, in rising order.
-    pub fn touched(&self) -> &[u32] {
+    /// The touched blocks: those that are not settled, then those that are.
+    pub fn touched(&self) -> &[Touched; 2] {
         &self.touched
     }
 
@@ -153,10 +164,21 @@ impl Band {
             }
         }
         self.mark(arch, volume, &band, &rays, turns);
-        let mut touched = std::mem::take(&mut self.touched);
-        touched.clear();
-        touched.extend(self.touched_since(self.frame - 1));
-        self.touched = touched;
+        self.sort_touched(turns);
+    }
+
+    /// Tells apart the touched blocks by how often they take a frame, and counts this one.
+    fn sort_touched(&mut self, turns: Turns) {
+        for (touched, n_taken) in self.touched.iter_mut().zip([0, u8::MAX]) {
+            touched.n_frames = turns.period(n_taken);
+            touched.blocks.clear();
+        }
+        let blocks = self.touched_in.iter().zip(&mut self.n_taken).enumerate();
+        for (block, (_, n_taken)) in blocks.filter(|(_, (last, _))| **last == self.frame) {
+            let touched = &mut self.touched[usize::from(turns.is_settled(*n_taken))];
+            touched.blocks.push(block as u32);
+            *n_taken = n_taken.saturating_add(1);
+        }
     }
 
     /// Marks the blocks that rays cross from their depth less the truncation distance to their depth plus it.
@@ -187,9 +209,15 @@ impl Band {
 
     fn touch(&mut self, volume: &mut TsdfVolume, coord: BlockCoord, turns: Turns) {
         match volume.allocate(coord) {
-            Ok(block) if block >= self.touched_in.len() => self.touched_in.push(self.frame),
-            Ok(block) if turns.is_due(coord, self.frame) => self.touched_in[block] = self.frame,
-            Ok(_) => {}
+            Ok(block) if block >= self.touched_in.len() => {
+                self.touched_in.push(self.frame);
+                self.n_taken.push(0);
+            }
+            Ok(block) => {
+                if turns.is_due(coord, self.frame, self.n_taken[block]) {
+                    self.touched_in[block] = self.frame;
+                }
+            }
             Err(Refusal::Outside) => self.refused.n_outside += 1,
             Err(Refusal::OverBudget) => self.refused.n_over_budget += 1,
         }
@@ -336,8 +364,9 @@ mod tests {
             for arch in arch_levels() {
                 let mut volume = TsdfVolume::new(voxel_size_m, 5.0 * voxel_size_m, usize::MAX);
                 let mut band = Band::default();
-                band.find(arch, &mut volume, &frame, &noise, &pose, Turns::EVERY_FRAME);
-                assert_eq!(band.touched().len(), volume.coords().len());
+                band.find(arch, &mut volume, &frame, &noise, &pose, Turns::EveryFrame);
+                let [touched, _] = band.touched();
+                assert_eq!(touched.blocks.len(), volume.coords().len());
                 let expected = first.get_or_insert_with(|| volume.coords().to_vec());
                 assert_eq!(expected, volume.coords());
                 let (mut n_seen, mut n_missed) = (0, 0);
@@ -380,7 +409,7 @@ mod tests {
                 &frame,
                 &noise,
                 &Pose::identity(),
-                Turns::EVERY_FRAME,
+                Turns::EveryFrame,
             );
             let (near, far) = (volume.block_coord(0.83), volume.block_coord(0.97));
             let between = |coord: &&BlockCoord| (near..far).contains(&coord[2]);

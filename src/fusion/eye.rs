@@ -91,13 +91,17 @@ impl Eye {
         );
         on_step(FusionStep::Allocate);
         let n_frames = self.n_frames.min(MOST_FRAMES_AS_ONE) as f32;
-        let view = View::new(
-            volume,
-            self.lens,
-            world_from_camera,
-            turns.weight() * n_frames,
-        );
-        integrate(self.arch, volume, band.touched(), &self.observations, &view);
+        let view = View::new(volume, self.lens, world_from_camera, n_frames);
+        for touched in band.touched() {
+            let counted = view.counting(n_frames * touched.n_frames as f32);
+            integrate(
+                self.arch,
+                volume,
+                &touched.blocks,
+                &self.observations,
+                &counted,
+            );
+        }
         band.look_through(volume, &self.observations, &view);
         let through = view.looking_through(self.noise, LOOKS_EVERY as f32 * n_frames);
         integrate(

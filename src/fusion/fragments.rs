@@ -97,7 +97,7 @@ impl Fragment {
             eye.fuse_into(
                 &mut fused,
                 &anchor_from_camera,
-                Turns::EVERY_FRAME,
+                Turns::EveryFrame,
                 &mut |_| {},
             );
         }

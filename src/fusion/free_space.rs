@@ -14,8 +14,8 @@ use super::volume::TsdfVolume;
 /// In so many frames a block is looked through once, and is then told what as many frames would have told it.
 pub const LOOKS_EVERY: usize = 4;
 
-/// For so many frames a block that was touched counts as lying in the band: all that lies there is touched in every second.
-const IN_BAND_FOR: u32 = 2;
+/// For so many frames a block that was touched counts as lying in the band: all that lies there is touched in every fourth.
+const IN_BAND_FOR: u32 = 4;
 
 /// What lies so near in the image to what is free has to be free as well, and most of it measured, pixels: at silhouettes and of thin parts a sensor measures
 /// what is behind them, in one frame and not in another.
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn what_is_gone_goes_after_as_long_as_it_was_there_and_not_at_once() {
-        for turns in [Turns::EVERY_FRAME, Turns::EVERY_SECOND] {
+        for turns in [Turns::EveryFrame, Turns::ByAge] {
             let mut scene = Scene::new();
             scene.fuse(40, turns, in_the_middle);
             let n_there = scene.n_before_wall();
@@ -144,12 +144,12 @@ mod tests {
     #[test]
     fn what_is_there_stays_and_so_does_its_silhouette_that_wavers() {
         let mut scene = Scene::new();
-        scene.fuse(20, Turns::EVERY_FRAME, in_the_middle);
+        scene.fuse(20, Turns::EveryFrame, in_the_middle);
         let n_there = scene.n_before_wall();
         // Six columns and rows less than before, on each side.
         let smaller = |u: usize, v: usize| (206..306).contains(&u) && (166..254).contains(&v);
         for _ in 0..60 {
-            scene.fuse(1, Turns::EVERY_FRAME, smaller);
+            scene.fuse(1, Turns::EveryFrame, smaller);
             assert!(scene.fused.band.filled().is_empty());
         }
         let n_after = scene.n_before_wall();
@@ -160,24 +160,24 @@ mod tests {
     fn a_stick_that_some_frames_miss_stays() {
         let mut scene = Scene::new();
         let is_on_stick = |u: usize, v: usize| (256..259).contains(&u) && in_the_middle(u, v);
-        scene.fuse(10, Turns::EVERY_SECOND, is_on_stick);
+        scene.fuse(10, Turns::ByAge, is_on_stick);
         let n_there = scene.n_before_wall();
         assert!(n_there > 100, "{n_there}");
         for _ in 0..10 {
-            scene.fuse(9, Turns::EVERY_SECOND, is_on_stick);
-            scene.fuse(1, Turns::EVERY_SECOND, |_, _| false);
+            scene.fuse(9, Turns::ByAge, is_on_stick);
+            scene.fuse(1, Turns::ByAge, |_, _| false);
         }
         let n_after = scene.n_before_wall();
         assert!(10 * n_after > 9 * n_there, "{n_after} of {n_there}");
         // Nor does it go at once.
-        scene.fuse(4, Turns::EVERY_SECOND, |_, _| false);
+        scene.fuse(4, Turns::ByAge, |_, _| false);
         assert!(scene.n_before_wall() > 0);
     }
 
     #[test]
     fn where_nothing_is_measured_nothing_is_taken_back() {
         let mut scene = Scene::new();
-        scene.fuse(10, Turns::EVERY_FRAME, in_the_middle);
+        scene.fuse(10, Turns::EveryFrame, in_the_middle);
         let n_there = scene.n_before_wall();
         let nothing = |pixel: usize| match in_the_middle(pixel % WIDTH, pixel / WIDTH) {
             true => 0.0,
@@ -186,7 +186,7 @@ mod tests {
         let depth = (0..WIDTH * 424).map(nothing).collect();
         assert!(scene.eye.take(&Image::from_vec(WIDTH, 424, depth)));
         for _ in 0..40 {
-            let (fused, turns) = (&mut scene.fused, Turns::EVERY_FRAME);
+            let (fused, turns) = (&mut scene.fused, Turns::EveryFrame);
             let eye = &mut scene.eye;
             eye.fuse_into(fused, &Pose::identity(), turns, &mut |_| {});
         }

@@ -41,7 +41,7 @@ impl FusedVolume {
             }
             eye.take_kept(&frame.depth_m(), frame.n_frames);
             let pose = correction.apply(frame.time_secs, &frame.world_from_camera);
-            eye.fuse_into(self, &pose, Turns::EVERY_FRAME, &mut |_| {});
+            eye.fuse_into(self, &pose, Turns::EveryFrame, &mut |_| {});
         }
         true
     }

@@ -172,7 +172,7 @@ impl Fusion {
             n_unpolished: 0,
             is_given: false,
             before: Before::Tracked,
-            turns: Turns::EVERY_FRAME,
+            turns: Turns::EveryFrame,
             params,
         }
     }
@@ -252,7 +252,7 @@ impl Fusion {
         let found = loop_closing::find(frames, &self.eye, &self.params, goes_on)?;
         let closed = found.judged(&self.fused.volume)?;
         self.replace_volume(closed.fused);
-        self.turns = Turns::EVERY_FRAME;
+        self.turns = Turns::EveryFrame;
         Some(closed.closure)
     }
 

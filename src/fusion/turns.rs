@@ -1,44 +1,56 @@
-//! Blocks of the volume take turns: each takes in every second frame that sees it.
+//! Blocks of the volume take turns: each takes in every second frame that sees it, and once it took eight, every fourth.
 //!
 //! Frames of one second show a place thirty times, with errors that are alike from frame to frame, and half of them make as good a
-//! model to track by. At the end of a scan all frames are fused anyhow, with their depth corrected and loops closed.
+//! model to track by, or a quarter where it is not young. At the end of a scan all frames are fused anyhow, with their depth corrected and loops closed.
 
 use super::block::BlockCoord;
 use super::fused_volume::FusedVolume;
 use super::improvement::{Counted, GoesOn, Work};
 use super::{Fusion, PoseCorrection};
 
-/// In how many frames a block that is not new is fused once, neighbours by turns.
+/// How often blocks are fused, neighbours by turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Turns(i32);
+pub enum Turns {
+    /// In every frame.
+    EveryFrame,
+    /// In every second frame, and in every fourth once they are settled.
+    ByAge,
+}
+
+/// A block that took so many frames is settled. While blocks are young, every fourth frame is too few where the camera is fast: of
+/// every second frame of the real desk five are lost then.
+const SETTLED_AFTER: u8 = 8;
 
 impl Turns {
-    /// In every frame.
-    pub const EVERY_FRAME: Turns = Turns(1);
-    /// In every second frame.
-    pub const EVERY_SECOND: Turns = Turns(2);
-
-    /// For so many frames counts one that touches a block.
-    #[inline(always)]
-    pub fn weight(self) -> f32 {
-        self.0 as f32
+    /// Whether a block is settled that took so many frames.
+    pub fn is_settled(self, n_taken: u8) -> bool {
+        self == Turns::ByAge && n_taken >= SETTLED_AFTER
     }
 
-    /// Whether it is a block's turn in a frame.
-    pub fn is_due(self, coord: BlockCoord, frame: u32) -> bool {
+    /// A block that took so many frames takes one of so many.
+    pub fn period(self, n_taken: u8) -> i32 {
+        match self {
+            Turns::EveryFrame => 1,
+            Turns::ByAge if self.is_settled(n_taken) => 4,
+            Turns::ByAge => 2,
+        }
+    }
+
+    /// Whether it is a block's turn in a frame, after it took so many.
+    pub fn is_due(self, coord: BlockCoord, frame: u32, n_taken: u8) -> bool {
         let sum = coord
             .iter()
             .fold(frame as i32, |sum, c| sum.wrapping_add(*c));
-        sum.rem_euclid(self.0) == 0
+        sum.rem_euclid(self.period(n_taken)) == 0
     }
 }
 
 impl Fusion {
-    /// The same with blocks that take turns: half the work, and frames are tracked as well. The volume becomes whole at the end, by
+    /// The same with blocks that take turns: half the work or less, and frames are tracked as well. The volume becomes whole at the end, by
     /// [`Self::close_loops`] or [`Self::complete`], from the frames that are kept; if none are, blocks take every frame.
     pub fn by_turns(mut self) -> Self {
         if self.params.loop_closing.max_memory_mb > 0 {
-            self.turns = Turns::EVERY_SECOND;
+            self.turns = Turns::ByAge;
         }
         self
     }
@@ -47,7 +59,7 @@ impl Fusion {
     /// Whether it did: nothing is changed if there is nothing to be gained, as where memory held less than every second frame, or
     /// as soon as `goes_on` says no.
     pub fn complete(&mut self, goes_on: &GoesOn) -> bool {
-        if self.turns == Turns::EVERY_FRAME || !self.keyframes.are_dense() {
+        if self.turns == Turns::EveryFrame || !self.keyframes.are_dense() {
             return false;
         }
         let frames = self.keyframes.frames();
@@ -57,7 +69,7 @@ impl Fusion {
         let is_whole = fused.fuse_again(frames, &nowhere, &self.eye, &|| step.goes_on());
         if is_whole {
             self.replace_volume(fused);
-            self.turns = Turns::EVERY_FRAME;
+            self.turns = Turns::EveryFrame;
         }
         is_whole
     }
@@ -73,6 +85,11 @@ mod tests {
 
     fn fusion(camera: CameraModel, params: FusionParams) -> Fusion {
         Fusion::new(camera, DepthNoise::of_sensor(Sensor::Kinect2), params)
+    }
+
+    fn n_touched(fusion: &Fusion) -> f64 {
+        let touched = fusion.fused.band.touched().iter();
+        touched.map(|touched| touched.blocks.len()).sum::<usize>() as f64
     }
 
     fn fuse(fusion: &mut Fusion, frame: &Frame) -> Pose {
@@ -97,7 +114,6 @@ mod tests {
                 off.translation_m < 0.004 && off.rotation_rad < 0.01,
                 "{off:?}"
             );
-            let n_touched = |fusion: &Fusion| fusion.fused.band.touched().len() as f64;
             let share = n_touched(&by_turns) / n_touched(&every);
             let expected = if k == 0 { 1.0 } else { 0.5 };
             assert!((share - expected).abs() < 0.1, "frame {k}: {share}");
@@ -105,6 +121,30 @@ mod tests {
         // No surface is missing meanwhile.
         let ratio = by_turns.mesh().area_m2() / every.mesh().area_m2();
         assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+    }
+
+    #[test]
+    fn settled_blocks_take_a_quarter_of_the_frames_and_weigh_as_much() {
+        let (frames, truth, camera) = frames(1);
+        let depth = frames[0].depth.as_ref().expect("Kinect II");
+        let mut every = fusion(camera, small_params());
+        let mut by_turns = fusion(camera, small_params()).by_turns();
+        let mut shares = Vec::new();
+        for k in 0..32 {
+            every.fuse_at(depth, f64::from(k) / 30.0, &truth[0]);
+            by_turns.fuse_at(depth, f64::from(k) / 30.0, &truth[0]);
+            shares.push(n_touched(&by_turns) / n_touched(&every));
+        }
+        // The first frame, then every second until there are eight.
+        assert!((shares[12] - 0.5).abs() < 0.1, "{shares:?}");
+        assert!((shares[24] - 0.25).abs() < 0.1, "{shares:?}");
+        let weight = |fusion: &Fusion| {
+            let blocks = fusion.fused.volume.blocks().iter();
+            let weights = blocks.flat_map(|block| block.weight);
+            weights.map(f64::from).sum::<f64>()
+        };
+        let ratio = weight(&by_turns) / weight(&every);
+        assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
     }
 
     #[test]

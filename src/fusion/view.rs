@@ -104,6 +104,14 @@ impl View {
         self.weight
     }
 
+    /// The same for a frame that counts for `weight` frames.
+    pub fn counting(&self, weight: f32) -> Self {
+        View {
+            weight,
+            ..self.clone()
+        }
+    }
+
     /// The same for voxels in free space, which are told of it with the weight of a surface there that faces the camera: what is farther off
     /// is measured less well, but that it is farther is certain. The frame counts for `weight` frames.
     pub fn looking_through(&self, noise: DepthNoise, weight: f32) -> Self {
