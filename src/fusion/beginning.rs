@@ -9,8 +9,10 @@ use std::cmp::Ordering;
 
 /// So many frames are looked at.
 const N_FRAMES: usize = 6;
-/// With those after them by whose motion they are looked for.
-pub(super) const N_FIRST: usize = N_FRAMES + 2;
+/// By the motion of so many after each.
+const N_AFTER: usize = 2;
+/// All of them together.
+pub(super) const N_FIRST: usize = N_FRAMES + N_AFTER;
 /// A frame that would move by less stays: settling and refinement reach as far.
 const WORTH: Motion = Motion {
     rotation_rad: 0.003,
@@ -22,20 +24,20 @@ impl Fusion {
     /// out are then to be moved by the correction. `None` if they lie where they were tracked, or poses were given.
     pub fn settle_beginning(&mut self) -> Option<PoseCorrection> {
         let frames = self.keyframes.frames().get(..N_FIRST)?;
-        let is_unbroken = frames
-            .iter()
-            .all(|frame| frame.stretch == frames[0].stretch);
-        // Where many frames between them are not kept the motion is not known.
-        let is_steady = frames
-            .windows(2)
-            .all(|pair| pair[1].time_secs - pair[0].time_secs <= STEADY_SECS);
-        if self.is_given || !is_unbroken || !is_steady {
+        // Where many frames between two of them are not kept the motion is not known: a Kinect I may stop for an image by then.
+        let follows = |pair: &[Keyframe]| {
+            pair[0].stretch == pair[1].stretch
+                && pair[1].time_secs - pair[0].time_secs <= STEADY_SECS
+        };
+        let n_steady = 1 + frames.windows(2).take_while(|pair| follows(pair)).count();
+        if self.is_given || n_steady <= N_AFTER {
             return None;
         }
+        let frames = &frames[..n_steady];
         let frames = frames.to_vec();
         let mut poses: Vec<Pose> = frames.iter().map(|f| f.world_from_camera).collect();
         let mut has_moved = false;
-        for k in (0..N_FRAMES).rev() {
+        for k in (0..n_steady - N_AFTER).rev() {
             // Time runs backwards.
             let at = |k: usize| Track::at(poses[k], -frames[k].time_secs);
             let later = at(k + 2).moved_to(poses[k + 1], at(k + 1).time_secs, true);
