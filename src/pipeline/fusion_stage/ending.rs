@@ -40,6 +40,9 @@ impl FusionStage {
             }
             self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
+            if !stop.is_stopped() {
+                self.settle_beginning(snapshots.as_mut());
+            }
             let closure = self.closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
                 pool.install(|| {
