@@ -14,8 +14,9 @@ use super::volume::TsdfVolume;
 /// In so many frames a block is looked through once, and is then told what as many frames would have told it.
 pub const LOOKS_EVERY: usize = 4;
 
-/// For so many frames a block that was touched counts as lying in the band: all that lies there is touched in every fourth.
-const IN_BAND_FOR: u32 = 4;
+/// For so many frames a block that was touched counts as lying in the band: what lies there is touched in every fourth. A block that
+/// was looked through counts no longer when its turn comes again.
+const IN_BAND_FOR: u32 = 3;
 
 /// What lies so near in the image to what is free has to be free as well, and most of it measured, pixels: at silhouettes and of thin parts a sensor measures
 /// what is behind them, in one frame and not in another.

@@ -95,11 +95,7 @@ pub fn is_small(step: &Pose) -> bool {
     is_below(step, 1e-5)
 }
 
-/// Whether the next level, or the distances, mend what is left after a step: one below 0.2 mm and 0.2 mrad.
-pub fn is_small_for_the_next_level(step: &Pose) -> bool {
-    is_below(step, LAST_STEP)
-}
-
+/// The next level, or the distances, mend what is left after a step of 0.2 mm and 0.2 mrad.
 const LAST_STEP: f64 = 2e-4;
 /// After the iterations of a level it goes on only where the camera is still far off, up to so many times as many, until a step
 /// is below 0.5 mm and 0.5 mrad: fast motion needs them, and where the shape hardly holds the camera more would let it slide.

@@ -3,7 +3,7 @@
 //! The residual of a point is the distance that the volume keeps at its place, the derivative the gradient there, so that
 //! neither a raycast nor a pairing comes between frame and model. It needs a start within the truncation distance.
 
-use super::icp::{is_small, is_small_for_the_next_level};
+use super::icp::is_small;
 use super::noise::DepthNoise;
 use super::normal_equations::{NormalEquations, Rows, huber_weight};
 use super::points::{self, Points, Residuals};
@@ -28,9 +28,7 @@ pub fn align(
 ) -> Option<(Pose, NormalEquations)> {
     let mut world_from_camera = *guess;
     let mut last = None;
-    let is_done: [fn(&Pose) -> bool; 2] = [is_small_for_the_next_level, is_small];
-    let by_level = [&levels[2], &levels[1]].into_iter().zip(is_done);
-    for ((level, is_done), n) in by_level.zip(iterations) {
+    for (level, n) in [&levels[2], &levels[1]].into_iter().zip(iterations) {
         for _ in 0..n {
             let equations = equations(
                 arch,
@@ -43,7 +41,7 @@ pub fn align(
             let step = equations.solve(&world_from_camera.translation.vector)?;
             world_from_camera = step * world_from_camera;
             last = Some(equations);
-            if is_done(&step) {
+            if is_small(&step) {
                 break;
             }
         }
