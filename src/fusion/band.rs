@@ -25,8 +25,8 @@ pub struct Band {
     /// Frame that touched each block last.
     touched_in: Vec<u32>,
     frame: u32,
-    /// How many frames each block took, as far as they are counted.
-    n_taken: Vec<u8>,
+    /// What each block took along the band.
+    taken: Vec<Taken>,
     /// The touched blocks: those that are not settled, then those that are.
     touched: [Touched; 2],
     /// Blocks in free space that hold something, of those that the frame looked through.
@@ -34,6 +34,15 @@ pub struct Band {
     refused: Refused,
     /// Where rays cross blocks, by how deep in the band.
     crossings: Vec<BlocksCrossed>,
+}
+
+/// The frames that a block took because it lay in their band.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Taken {
+    /// How many, 255 at most, since it was last looked through.
+    n_frames: u8,
+    /// The last of them.
+    pub last: u32,
 }
 
 /// Blocks that take a frame alike.
@@ -103,11 +112,13 @@ impl Band {
     }
 
     /// Looks through the blocks whose turn it is, for those that hold something where the frame sees free space: [`Self::filled`].
+    /// What comes to stand there later is new.
     pub fn look_through(&mut self, volume: &TsdfVolume, observations: &Observations, view: &View) {
-        let touched = (self.frame, self.touched_in.as_slice());
-        free_space::find(volume, touched, observations, view, &mut self.filled);
+        let taken = (self.frame, self.taken.as_slice());
+        free_space::find(volume, taken, observations, view, &mut self.filled);
         for &block in &self.filled {
             self.touched_in[block as usize] = self.frame;
+            self.taken[block as usize].n_frames = 0;
         }
     }
 
@@ -164,20 +175,22 @@ impl Band {
             }
         }
         self.mark(arch, volume, &band, &rays, turns);
-        self.sort_touched(turns);
+        self.count_touched(turns);
     }
 
     /// Tells apart the touched blocks by how often they take a frame, and counts this one.
-    fn sort_touched(&mut self, turns: Turns) {
-        for (touched, n_taken) in self.touched.iter_mut().zip([0, u8::MAX]) {
-            touched.n_frames = turns.period(n_taken);
+    fn count_touched(&mut self, turns: Turns) {
+        for touched in &mut self.touched {
             touched.blocks.clear();
         }
-        let blocks = self.touched_in.iter().zip(&mut self.n_taken).enumerate();
-        for (block, (_, n_taken)) in blocks.filter(|(_, (last, _))| **last == self.frame) {
-            let touched = &mut self.touched[usize::from(turns.is_settled(*n_taken))];
-            touched.blocks.push(block as u32);
-            *n_taken = n_taken.saturating_add(1);
+        for (block, taken) in self.taken.iter_mut().enumerate() {
+            if self.touched_in[block] == self.frame {
+                let touched = &mut self.touched[usize::from(turns.is_settled(taken.n_frames))];
+                touched.n_frames = turns.period(taken.n_frames);
+                touched.blocks.push(block as u32);
+                taken.n_frames = taken.n_frames.saturating_add(1);
+                taken.last = self.frame;
+            }
         }
     }
 
@@ -211,10 +224,10 @@ impl Band {
         match volume.allocate(coord) {
             Ok(block) if block >= self.touched_in.len() => {
                 self.touched_in.push(self.frame);
-                self.n_taken.push(0);
+                self.taken.push(Taken::default());
             }
             Ok(block) => {
-                if turns.is_due(coord, self.frame, self.n_taken[block]) {
+                if turns.is_due(coord, self.frame, self.taken[block].n_frames) {
                     self.touched_in[block] = self.frame;
                 }
             }

@@ -7,7 +7,7 @@ use super::{Fit, Fusion, Keyframe, PoseCorrection, gates};
 use crate::geometry::{Motion, Pose, motion_between};
 use std::cmp::Ordering;
 
-/// So many frames are looked at.
+/// So many frames are looked at, or as many as come before a stop, but for the last [`N_AFTER`] of them.
 const N_FRAMES: usize = 6;
 /// By the motion of so many after each.
 const N_AFTER: usize = 2;
@@ -21,7 +21,8 @@ const WORTH: Motion = Motion {
 
 impl Fusion {
     /// Looks for the first frames on the finished model, where the motion of those after them would have them; the poses handed
-    /// out are then to be moved by the correction. `None` if they lie where they were tracked, or poses were given.
+    /// out are then to be moved by the correction, and [`Self::complete`] fuses all frames where they lie. `None` if they lie where they
+    /// were tracked, or poses were given.
     pub fn settle_beginning(&mut self) -> Option<PoseCorrection> {
         let frames = self.keyframes.frames().get(..N_FIRST)?;
         // Where many frames between two of them are not kept the motion is not known: a Kinect I may stop for an image by then.
@@ -33,8 +34,7 @@ impl Fusion {
         if self.is_given || n_steady <= N_AFTER {
             return None;
         }
-        let frames = &frames[..n_steady];
-        let frames = frames.to_vec();
+        let frames = frames[..n_steady].to_vec();
         let mut poses: Vec<Pose> = frames.iter().map(|f| f.world_from_camera).collect();
         let mut has_moved = false;
         for k in (0..n_steady - N_AFTER).rev() {
@@ -57,6 +57,7 @@ impl Fusion {
         let correction = PoseCorrection::of_knots(knots.collect());
         has_moved.then(|| {
             self.keyframes.correct(&correction);
+            self.is_outdated = true;
             correction
         })
     }
@@ -128,6 +129,30 @@ mod tests {
             assert_eq!(moved, after.world_from_camera);
         }
         assert_eq!(correction.at(times[N_FRAMES]), Pose::identity());
+    }
+
+    #[test]
+    fn of_a_beginning_that_stops_soon_the_first_frames_are_put_back_and_fused_there() {
+        for n_steady in [2, 5] {
+            let (mut fusion, truth) = scanned(16);
+            fusion.keyframes.break_after(n_steady);
+            let tracked_m = off_m(&fusion, &truth);
+            let times: Vec<f64> = fusion.keyframes().iter().map(|f| f.time_secs).collect();
+            fusion.keyframes.correct(&PoseCorrection::of_knots(vec![
+                (times[0], Pose::translation(0.015, 0.004, 0.0)),
+                (times[1], Pose::identity()),
+            ]));
+            let is_whole = !fusion.complete(&|_| true);
+            assert!(is_whole);
+            let Some(correction) = fusion.settle_beginning() else {
+                assert_eq!(n_steady, 2);
+                continue;
+            };
+            assert_eq!(n_steady, 5);
+            assert!(off_m(&fusion, &truth)[0] < tracked_m[0] + 0.002);
+            assert_eq!(correction.at(times[n_steady - N_AFTER]), Pose::identity());
+            assert!(fusion.complete(&|_| true) && !fusion.complete(&|_| true));
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //!
 //! Not handled: what is gone and has nothing measured behind it, as where that is out of range.
 
+use super::band::Taken;
 use super::block::{BRICKS, Block, BlockCoord};
 use super::observe::{Observations, slope_of};
 use super::view::View;
@@ -14,9 +15,8 @@ use super::volume::TsdfVolume;
 /// In so many frames a block is looked through once, and is then told what as many frames would have told it.
 pub const LOOKS_EVERY: usize = 4;
 
-/// For so many frames a block that was touched counts as lying in the band: what lies there is touched in every fourth. A block that
-/// was looked through counts no longer when its turn comes again.
-const IN_BAND_FOR: u32 = 3;
+/// For so many frames a block that took one counts as lying in the band: what lies there takes every fourth, and may be missed by one.
+const IN_BAND_FOR: u32 = 7;
 
 /// What lies so near in the image to what is free has to be free as well, and most of it measured, pixels: at silhouettes and of thin parts a sensor measures
 /// what is behind them, in one frame and not in another.
@@ -26,7 +26,7 @@ const CLEARANCE_PX: usize = 8;
 /// are in the band are fused as it is.
 pub fn find(
     volume: &TsdfVolume,
-    (frame, touched_in): (u32, &[u32]),
+    (frame, taken): (u32, &[Taken]),
     observations: &Observations,
     view: &View,
     filled: &mut Vec<u32>,
@@ -34,7 +34,7 @@ pub fn find(
     filled.clear();
     let first = frame as usize % LOOKS_EVERY;
     for block in (first..volume.coords().len()).step_by(LOOKS_EVERY) {
-        let is_in_band = touched_in[block] + IN_BAND_FOR >= frame;
+        let is_in_band = taken[block].last + IN_BAND_FOR >= frame;
         if !is_in_band
             && is_free(volume.coords()[block], observations, view)
             && holds_something(&volume.blocks()[block])
@@ -173,6 +173,18 @@ mod tests {
         // Nor does it go at once.
         scene.fuse(4, Turns::ByAge, |_, _| false);
         assert!(scene.n_before_wall() > 0);
+    }
+
+    #[test]
+    fn a_settled_stick_that_one_frame_misses_is_not_looked_through() {
+        let is_on_stick = |u: usize, v: usize| (256..259).contains(&u) && in_the_middle(u, v);
+        let mut scene = Scene::new();
+        // Each of the four turns misses it once.
+        for n_frames in [40, 20, 21, 21, 21] {
+            scene.fuse(n_frames, Turns::ByAge, is_on_stick);
+            scene.fuse(1, Turns::ByAge, |_, _| false);
+            assert!(scene.fused.band.filled().is_empty());
+        }
     }
 
     #[test]

@@ -78,6 +78,14 @@ impl Keyframes {
         &self.frames[n_before..]
     }
 
+    /// Makes the frames after the first `n` those of another stretch.
+    #[cfg(test)]
+    pub fn break_after(&mut self, n: usize) {
+        for frame in &mut self.frames[n..] {
+            frame.stretch += 1;
+        }
+    }
+
     /// Whether at least every second frame is held.
     pub fn are_dense(&self) -> bool {
         let n_frames: usize = self.frames.iter().map(|frame| frame.n_frames).sum();

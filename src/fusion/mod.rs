@@ -149,6 +149,8 @@ pub struct Fusion {
     before: Before,
     /// How often blocks of the volume are fused.
     turns: Turns,
+    /// Whether frames were moved since they were fused.
+    is_outdated: bool,
 }
 
 impl Fusion {
@@ -173,6 +175,7 @@ impl Fusion {
             is_given: false,
             before: Before::Tracked,
             turns: Turns::EveryFrame,
+            is_outdated: false,
             params,
         }
     }
@@ -386,6 +389,7 @@ impl Fusion {
 
     fn replace_volume(&mut self, fused: FusedVolume) {
         self.fused = fused;
+        self.is_outdated = false;
         self.volume_number += 1;
     }
 

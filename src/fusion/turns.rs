@@ -55,11 +55,12 @@ impl Fusion {
         self
     }
 
-    /// At the end of a scan whose blocks took turns: fuses the frames that are kept anew, where they lie, each into all that it sees.
-    /// Whether it did: nothing is changed if there is nothing to be gained, as where memory held less than every second frame, or
-    /// as soon as `goes_on` says no.
+    /// At the end of a scan whose blocks took turns, or whose first frames were moved: fuses the frames that are kept anew, where they
+    /// lie, each into all that it sees. Whether it did: nothing is changed if there is nothing to be gained, as where memory held less
+    /// than every second frame, or as soon as `goes_on` says no.
     pub fn complete(&mut self, goes_on: &GoesOn) -> bool {
-        if self.turns == Turns::EveryFrame || !self.keyframes.are_dense() {
+        let is_whole = self.turns == Turns::EveryFrame && !self.is_outdated;
+        if is_whole || !self.keyframes.are_dense() {
             return false;
         }
         let frames = self.keyframes.frames();

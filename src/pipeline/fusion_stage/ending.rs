@@ -40,9 +40,6 @@ impl FusionStage {
             }
             self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
-            if !stop.is_stopped() {
-                self.settle_beginning(snapshots.as_mut());
-            }
             let closure = self.closing_clock.time(|| {
                 let (fusion, pool) = (&mut self.fusion, &self.pool);
                 pool.install(|| {
@@ -186,7 +183,10 @@ impl FusionStage {
             snapshot.depth_m = depth;
         }
         self.fusion = revised.fusion;
-        self.correct(&revised.correction, snapshots);
+        self.correct(&revised.correction, snapshots.as_deref_mut());
+        if !self.stop.is_stopped() {
+            self.settle_beginning(snapshots);
+        }
     }
 
     /// Moves all poses that were handed out.
