@@ -15,8 +15,8 @@ use super::volume::TsdfVolume;
 /// In so many frames a block is looked through once, and is then told what as many frames would have told it.
 pub const LOOKS_EVERY: usize = 4;
 
-/// For so many frames a block that took one counts as lying in the band: what lies there takes every fourth, and may be missed by one.
-const IN_BAND_FOR: u32 = 7;
+/// For so many frames a block that took one counts as lying in the band: what lies there takes every fourth, and one may miss it.
+const IN_BAND_FOR: u32 = 4;
 
 /// What lies so near in the image to what is free has to be free as well, and most of it measured, pixels: at silhouettes and of thin parts a sensor measures
 /// what is behind them, in one frame and not in another.
