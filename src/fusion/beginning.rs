@@ -108,16 +108,22 @@ mod tests {
         off.map(|motion| motion.translation_m).collect()
     }
 
-    #[test]
-    fn a_first_frame_that_slid_is_put_back_and_none_gets_worse() {
-        let (mut fusion, truth) = scanned(16);
-        let tracked_m = off_m(&fusion, &truth);
+    /// Moves the first frame, and tells the times of all.
+    fn slide_first(fusion: &mut Fusion) -> Vec<f64> {
         let times: Vec<f64> = fusion.keyframes().iter().map(|f| f.time_secs).collect();
         let slide = Pose::translation(0.015, 0.004, 0.0);
         fusion.keyframes.correct(&PoseCorrection::of_knots(vec![
             (times[0], slide),
             (times[1], Pose::identity()),
         ]));
+        times
+    }
+
+    #[test]
+    fn a_first_frame_that_slid_is_put_back_and_none_gets_worse() {
+        let (mut fusion, truth) = scanned(16);
+        let tracked_m = off_m(&fusion, &truth);
+        let times = slide_first(&mut fusion);
         let before = fusion.keyframes().to_vec();
         let correction = fusion.settle_beginning().expect("it slid");
         // A voxel has 4 mm.
@@ -137,13 +143,8 @@ mod tests {
             let (mut fusion, truth) = scanned(16);
             fusion.keyframes.break_after(n_steady);
             let tracked_m = off_m(&fusion, &truth);
-            let times: Vec<f64> = fusion.keyframes().iter().map(|f| f.time_secs).collect();
-            fusion.keyframes.correct(&PoseCorrection::of_knots(vec![
-                (times[0], Pose::translation(0.015, 0.004, 0.0)),
-                (times[1], Pose::identity()),
-            ]));
-            let is_whole = !fusion.complete(&|_| true);
-            assert!(is_whole);
+            let times = slide_first(&mut fusion);
+            assert!(!fusion.complete(&|_| true));
             let Some(correction) = fusion.settle_beginning() else {
                 assert_eq!(n_steady, 2);
                 continue;

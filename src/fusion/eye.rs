@@ -91,7 +91,7 @@ impl Eye {
         );
         on_step(FusionStep::Allocate);
         let n_frames = self.n_frames.min(MOST_FRAMES_AS_ONE) as f32;
-        let view = View::new(volume, self.lens, world_from_camera, n_frames);
+        let view = View::new(volume, self.lens, world_from_camera);
         for touched in band.touched() {
             let counted = view.counting(n_frames * touched.n_frames as f32);
             integrate(
@@ -103,7 +103,9 @@ impl Eye {
             );
         }
         band.look_through(volume, &self.observations, &view);
-        let through = view.looking_through(self.noise, LOOKS_EVERY as f32 * n_frames);
+        let through = view
+            .looking_through(self.noise)
+            .counting(LOOKS_EVERY as f32 * n_frames);
         integrate(
             self.arch,
             volume,

@@ -226,7 +226,7 @@ mod tests {
 
     fn fuse(arch: Arch, volume: &mut TsdfVolume, pixels: &[Observation], pose: &Pose) {
         let camera: CameraModel = distorted_camera();
-        let view = View::new(volume, Lens::new(&camera), pose, 1.0);
+        let view = View::new(volume, Lens::new(&camera), pose);
         let observations =
             Observations::of_pixels(arch, pixels, 512, depth_step(), volume.truncation_m());
         let touched: Vec<u32> = (0..volume.coords().len() as u32).collect();

@@ -1,7 +1,8 @@
 //! Blocks of the volume take turns: each takes in every second frame that sees it, and once it took eight, every fourth.
 //!
 //! Frames of one second show a place thirty times, with errors that are alike from frame to frame, and half of them make as good a
-//! model to track by, or a quarter where it is not young. At the end of a scan all frames are fused anyhow, with their depth corrected and loops closed.
+//! model to track by, or a quarter where it is not young. At the end of a scan all frames are fused anyhow, with their depth corrected
+//! and loops closed.
 
 use super::block::BlockCoord;
 use super::fused_volume::FusedVolume;
@@ -59,8 +60,8 @@ impl Fusion {
     /// lie, each into all that it sees. Whether it did: nothing is changed if there is nothing to be gained, as where memory held less
     /// than every second frame, or as soon as `goes_on` says no.
     pub fn complete(&mut self, goes_on: &GoesOn) -> bool {
-        let is_whole = self.turns == Turns::EveryFrame && !self.is_outdated;
-        if is_whole || !self.keyframes.are_dense() {
+        let is_fused_already = self.turns == Turns::EveryFrame && !self.is_outdated;
+        if is_fused_already || !self.keyframes.are_dense() {
             return false;
         }
         let frames = self.keyframes.frames();

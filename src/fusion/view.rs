@@ -66,8 +66,8 @@ pub struct Extent {
 }
 
 impl View {
-    /// The grid of a volume from a pose, for a frame that counts for `weight` frames.
-    pub fn new(volume: &TsdfVolume, lens: Lens, world_from_camera: &Pose, weight: f32) -> Self {
+    /// The grid of a volume from a pose.
+    pub fn new(volume: &TsdfVolume, lens: Lens, world_from_camera: &Pose) -> Self {
         let camera_from_world = world_from_camera.inverse();
         let rotation = camera_from_world.rotation.to_rotation_matrix();
         let axes = rotation.matrix() * f64::from(volume.voxel_size_m());
@@ -80,7 +80,7 @@ impl View {
         View {
             lens,
             truncation_m: volume.truncation_m(),
-            weight,
+            weight: 1.0,
             looks_through: None,
             origin: camera_from_world.translation.vector,
             steps: axes.cast::<f32>().into(),
@@ -113,10 +113,9 @@ impl View {
     }
 
     /// The same for voxels in free space, which are told of it with the weight of a surface there that faces the camera: what is farther off
-    /// is measured less well, but that it is farther is certain. The frame counts for `weight` frames.
-    pub fn looking_through(&self, noise: DepthNoise, weight: f32) -> Self {
+    /// is measured less well, but that it is farther is certain.
+    pub fn looking_through(&self, noise: DepthNoise) -> Self {
         View {
-            weight,
             looks_through: Some(noise),
             ..self.clone()
         }

@@ -35,9 +35,7 @@ impl FusionStage {
                 told.update(|status| status.improvement = Some(improvement));
                 !stop.is_stopped()
             };
-            if !stop.is_stopped() {
-                self.settle_beginning(snapshots.as_mut());
-            }
+            self.settle_beginning(snapshots.as_mut());
             self.recalibrate(snapshots.as_ref());
             self.revise(snapshots.as_mut(), &goes_on);
             let closure = self.closing_clock.time(|| {
@@ -110,6 +108,9 @@ impl FusionStage {
 
     /// Puts the first frames where the finished model has them.
     fn settle_beginning(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        if self.stop.is_stopped() {
+            return;
+        }
         let (fusion, pool) = (&mut self.fusion, &self.pool);
         if let Some(correction) = pool.install(|| fusion.settle_beginning()) {
             tracing::info!(
@@ -184,9 +185,7 @@ impl FusionStage {
         }
         self.fusion = revised.fusion;
         self.correct(&revised.correction, snapshots.as_deref_mut());
-        if !self.stop.is_stopped() {
-            self.settle_beginning(snapshots);
-        }
+        self.settle_beginning(snapshots);
     }
 
     /// Moves all poses that were handed out.
