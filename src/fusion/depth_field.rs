@@ -216,7 +216,7 @@ mod tests {
                 })
                 .collect();
             keyframes.push(Keyframe {
-                depth: PackedDepth::pack(&wrong, depth.width(), 1.5),
+                depth: PackedDepth::pack(&wrong, depth.width(), 1.5, &mut Vec::new()),
                 time_secs: frame.device_time_secs,
                 world_from_camera: *pose,
                 given: None,

@@ -45,6 +45,8 @@ pub struct Keyframes {
     missed: Vec<f64>,
     max_bytes: usize,
     memory_bytes: usize,
+    /// Where depth is packed.
+    codes: Vec<u8>,
 }
 
 /// Frames that are so far apart, or so long, show as much that is new.
@@ -64,6 +66,7 @@ impl Keyframes {
             missed: Vec::new(),
             max_bytes,
             memory_bytes: 0,
+            codes: Vec::new(),
         }
     }
 
@@ -115,7 +118,8 @@ impl Keyframes {
             return;
         }
         let frame = &eye.frame;
-        let depth = PackedDepth::pack(&frame.depth, frame.rays.width, eye.range.far_m);
+        let (width, far_m) = (frame.rays.width, eye.range.far_m);
+        let depth = PackedDepth::pack(&frame.depth, width, far_m, &mut self.codes);
         self.memory_bytes += depth.memory_bytes();
         self.frames.push(Keyframe {
             depth,

@@ -105,6 +105,9 @@ fn add_product(sum: &mut Lane, a: &Lane, b: &Lane) {
     }
 }
 
+/// So many tiles are summed at the same time: those of a level of a Kinect's images.
+const AT_ONCE: usize = 16;
+
 /// Normal equations of one iteration.
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
@@ -146,16 +149,21 @@ impl NormalEquations {
         }
     }
 
-    /// Sums the tiles `0..n_tiles` in order, whatever thread they are summed on.
+    /// Sums the tiles `0..n_tiles` in order, whatever thread they are summed on, and asks for no memory.
     pub fn of_tiles(n_tiles: usize, sum_tile: impl Fn(usize) -> TileSums + Send + Sync) -> Self {
-        let tiles: Vec<TileSums> = (0..n_tiles).into_par_iter().map(sum_tile).collect();
+        let mut at_once = [TileSums::ZERO; AT_ONCE];
         let (mut sums, mut n_points, mut n_inliers) = ([0.0; N_SUMS], 0, 0);
-        for tile in &tiles {
-            for (sum, lanes) in sums.iter_mut().zip(&tile.sums) {
-                *sum += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+        for first in (0..n_tiles).step_by(AT_ONCE) {
+            let tiles = &mut at_once[..AT_ONCE.min(n_tiles - first)];
+            let indexed = tiles.par_iter_mut().with_max_len(1).enumerate();
+            indexed.for_each(|(tile, summed)| *summed = sum_tile(first + tile));
+            for tile in tiles {
+                for (sum, lanes) in sums.iter_mut().zip(&tile.sums) {
+                    *sum += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+                }
+                n_points += tile.n_points as usize;
+                n_inliers += tile.n_inliers.iter().sum::<u32>() as usize;
             }
-            n_points += tile.n_points as usize;
-            n_inliers += tile.n_inliers.iter().sum::<u32>() as usize;
         }
         let mut jtj = Matrix6::zeros();
         let mut entries = sums.iter();

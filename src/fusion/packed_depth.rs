@@ -26,10 +26,11 @@ pub struct PackedDepth {
 }
 
 impl PackedDepth {
-    /// Packs an image, row by row, whose depths are at most `far_m`.
-    pub fn pack(depth: &[f32], width: usize, far_m: f32) -> Self {
+    /// Packs an image, row by row, whose depths are at most `far_m`; `codes` is where that is done.
+    pub fn pack(depth: &[f32], width: usize, far_m: f32, codes: &mut Vec<u8>) -> Self {
         let step_m = FINEST_STEP_M.max(far_m / u16::MAX as f32);
-        let mut codes = Vec::with_capacity(depth.len());
+        codes.clear();
+        codes.reserve(depth.len());
         let (mut before, mut gap) = (0, 0);
         for depth in depth.chunks(LANES) {
             let mut values = [0; LANES];
@@ -43,17 +44,17 @@ impl PackedDepth {
                 }
                 _ => {
                     for &value in &values[..depth.len()] {
-                        push(&mut codes, value, &mut before, &mut gap);
+                        push(codes, value, &mut before, &mut gap);
                     }
                 }
             }
         }
-        close_gap(&mut codes, &mut gap);
+        close_gap(codes, &mut gap);
         PackedDepth {
             width,
             height: depth.len() / width,
             step_m,
-            codes: codes.into(),
+            codes: Arc::from(&codes[..]),
         }
     }
 
@@ -145,7 +146,7 @@ mod tests {
             })
             .collect();
         let depth = Image::from_vec(width, height, data);
-        let packed = PackedDepth::pack(depth.data(), width, 2.0);
+        let packed = PackedDepth::pack(depth.data(), width, 2.0, &mut Vec::new());
         let back = packed.unpack();
         assert_eq!((back.width(), back.height()), (width, height));
         for (a, b) in depth.data().iter().zip(back.data()) {

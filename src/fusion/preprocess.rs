@@ -74,6 +74,7 @@ pub fn build_levels(arch: Arch, noise: &DepthNoise, frame: &mut FramePyramid) {
     for level in &mut frame.reduced {
         find_normals(arch, noise, level);
     }
+    frame.measure_depth();
 }
 
 /// Range differences beyond so many sigmas belong to another surface.

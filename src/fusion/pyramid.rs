@@ -106,18 +106,28 @@ pub struct FramePyramid {
     pub reduced: [Level; N_REDUCED],
     /// The image reduced by 2 before it is smoothed.
     pub(super) rough_half: Vec<f32>,
+    median_depth_m: f32,
+    /// Where depths are sorted.
+    sorted: Vec<f32>,
 }
 
 impl FramePyramid {
     /// Median depth of the coarsest level, metres; 1 if it has none.
     pub fn median_depth_m(&self) -> f32 {
+        self.median_depth_m
+    }
+
+    /// Takes up the median depth of the levels as they now are.
+    pub(super) fn measure_depth(&mut self) {
         let coarsest = &self.reduced[N_REDUCED - 1].depth;
-        let mut depths: Vec<f32> = coarsest.iter().copied().filter(|z| *z > 0.0).collect();
-        if depths.is_empty() {
-            return 1.0;
-        }
-        let middle = depths.len() / 2;
-        *depths.select_nth_unstable_by(middle, f32::total_cmp).1
+        self.sorted.clear();
+        let measured = coarsest.iter().copied().filter(|z| *z > 0.0);
+        self.sorted.extend(measured);
+        let middle = self.sorted.len() / 2;
+        self.median_depth_m = match self.sorted.is_empty() {
+            true => 1.0,
+            false => *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1,
+        };
     }
 
     /// An empty frame of a camera.
@@ -127,6 +137,8 @@ impl FramePyramid {
         FramePyramid {
             depth: vec![0.0; rays.x.len()],
             rough_half: vec![0.0; reduced[0].depth.len()],
+            median_depth_m: 1.0,
+            sorted: Vec::with_capacity(reduced[N_REDUCED - 1].depth.len()),
             rays,
             reduced,
         }

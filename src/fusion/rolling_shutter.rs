@@ -370,7 +370,7 @@ mod tests {
             fusion.fuse_at(depth, at.time_secs, &at.world_from_camera);
             let read = undone.corrected(depth, &velocity, &rays, &noise);
             keyframes.push(Keyframe {
-                depth: PackedDepth::pack(read.data(), depth.width(), 1.5),
+                depth: PackedDepth::pack(read.data(), depth.width(), 1.5, &mut Vec::new()),
                 time_secs: at.time_secs,
                 world_from_camera: at.world_from_camera,
                 given: None,

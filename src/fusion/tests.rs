@@ -2,6 +2,7 @@
 
 use super::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
 use crate::geometry::{CameraModel, Pose, RayGrid, increment, motion_between};
+use counting_allocator::n_of_thread;
 use depth_camera::{DepthCamera, Frame, Image, Intrinsics, Sensor};
 use nalgebra::Vector6;
 use simulated::SimulatedCamera;
@@ -47,6 +48,35 @@ fn fuse(fusion: &mut Fusion, frame: &Frame) -> TrackingOutcome {
         frame.depth.as_ref().expect("Kinect II"),
         frame.device_time_secs,
     )
+}
+
+#[test]
+fn a_frame_asks_for_the_memory_that_it_is_kept_in_and_no_other() {
+    const N_BEFORE: usize = 16;
+    let (seen, _, camera) = frames(1);
+    let depth = seen[0].depth.as_ref().expect("Kinect II");
+    let n_of_a_frame = |max_memory_mb: usize| -> Vec<u64> {
+        let mut params = small_params();
+        params.loop_closing.max_memory_mb = max_memory_mb;
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+        pool.expect("a thread").install(|| {
+            let mut fusion = Fusion::new(camera, noise, params).by_turns();
+            let mut n_of_frame = |frame: usize| {
+                let before = n_of_thread();
+                let outcome = fusion.fuse(depth, frame as f64 / 30.0);
+                assert!(matches!(outcome, TrackingOutcome::Tracked { .. }));
+                n_of_thread() - before
+            };
+            let n_of_frames: Vec<u64> = (0..2 * N_BEFORE).map(&mut n_of_frame).collect();
+            n_of_frames[N_BEFORE..].to_vec()
+        })
+    };
+    assert_eq!(n_of_a_frame(0), [0; N_BEFORE], "no frame is kept");
+    // The list of frames has room for more than it holds.
+    let mut kept = n_of_a_frame(100);
+    kept.sort_unstable();
+    assert_eq!(kept[N_BEFORE / 2], 1, "{kept:?}");
 }
 
 #[test]
