@@ -3,12 +3,13 @@
 
     compare.py SESSION [--voxel-size M] [--depth-max M] [--repeats N] [--frames N] [--relief PROGRAM]
 
-Prints one line of JSON for each run. See README.md beside this file."""
+Prints one line of JSON for each run. With --frames both get the session's first N depth images. See README.md beside this file."""
 import argparse
 import json
 import pathlib
 import subprocess
 import sys
+import tempfile
 import time
 import tomllib
 
@@ -37,6 +38,23 @@ def depth_images(session):
             yield float(stamp), o3d.t.io.read_image(str(session / name))
 
 
+def shortened(session, n_images, folder):
+    """A session in `folder` with the first depth images of another, and of its other lists what is no later; images are linked."""
+    for entry in session.resolve().iterdir():
+        (folder / entry.name).symlink_to(entry)
+    rows = (session / "depth.txt").read_text().splitlines()
+    stamps = [float(row.split()[0]) for row in rows if row.strip() and not row.startswith("#")]
+    last = stamps[:n_images][-1]
+    for name in ("depth.txt", "ir.txt"):
+        if not (session / name).exists():
+            continue
+        rows = (session / name).read_text().splitlines(keepends=True)
+        kept = [row for row in rows if not row.strip() or row.startswith("#") or float(row.split()[0]) <= last]
+        (folder / name).unlink()
+        (folder / name).write_text("".join(kept))
+    return folder
+
+
 def open3d_run(session, args):
     """Frame-to-model tracking as in Open3D's dense SLAM example; poses are those of the frames that it tracked."""
     matrix, units = session_camera(session)
@@ -44,9 +62,7 @@ def open3d_run(session, args):
     slam = o3d.t.pipelines.slam
     model, frames, pose, rows, cpu_ms = None, None, o3c.Tensor(np.eye(4)), [], []
     n_failed = 0
-    for number, (stamp, depth) in enumerate(depth_images(session)):
-        if args.frames is not None and number >= args.frames:
-            break
+    for stamp, depth in depth_images(session):
         if not np.any(depth.as_tensor().numpy()):
             continue
         if model is None:
@@ -106,12 +122,16 @@ def main():
     parser.add_argument("--voxel-size", type=float, default=0.005)
     parser.add_argument("--depth-max", type=float, default=2.0)
     parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--frames", type=int)
+    parser.add_argument("--frames", type=int, help="depth images, the first of the session; all without it")
     parser.add_argument("--relief", default=str(ROOT / "target/release/relief"))
     args = parser.parse_args()
-    for _ in range(args.repeats):
-        for run in (relief_run, open3d_run):
-            print(json.dumps(run(args.session, args)), flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        session = args.session
+        if args.frames is not None:
+            session = shortened(session, args.frames, pathlib.Path(folder))
+        for _ in range(args.repeats):
+            for run in (relief_run, open3d_run):
+                print(json.dumps(run(session, args)), flush=True)
 
 
 if __name__ == "__main__":
