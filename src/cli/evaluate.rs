@@ -310,6 +310,7 @@ mod tests {
             unlit_counts: None,
             depth_m: Image::filled(1, 1, 0.0),
             world_from_camera: Pose::identity(),
+            moved: None,
         };
         let intrinsics = Intrinsics {
             width: 32,

@@ -264,7 +264,8 @@ pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) ->
     })
 }
 
-fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {
+/// The model as a pose sees it, with the pixels of a level.
+pub(super) fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {
     raycast_anywhere(volume, eye.level(level), pose, eye.range)
 }
 

@@ -306,6 +306,7 @@ mod tests {
             unlit_counts: None,
             depth_m: Image::filled(1, 1, 0.0),
             world_from_camera: Pose::identity(),
+            moved: None,
         };
         let (snapshots, masks) = (vec![snapshot; 3], vec![Image::filled(1, 1, 255); 3]);
         // One thread makes no folder after the one that finds no room.

@@ -350,6 +350,9 @@ fn fusion_setup(
         info: info.clone(),
         fusion: params.fusion.clone(),
         infrared: infrared_optics(&params.fusion, &params.calibration, info),
+        lamp: (info.sensor == Sensor::Kinect1)
+            .then(|| under_its_light(&params.calibration, info))
+            .flatten(),
         snapshot: params.snapshot.clone(),
         correction: DepthCorrection::new(
             info,
@@ -397,18 +400,18 @@ pub fn infrared_optics(
     calibration: &Calibration,
     info: &CameraInfo,
 ) -> Option<InfraredOptics> {
-    let (Sensor::Kinect2, Some(full_scale), Some(light), true) = (
-        info.sensor,
-        info.ir_full_scale,
-        info.light,
-        fusion.use_infrared,
-    ) else {
-        return None;
-    };
+    let is_used = info.sensor == Sensor::Kinect2 && fusion.use_infrared;
+    is_used
+        .then(|| under_its_light(calibration, info))
+        .flatten()
+}
+
+/// What has to be known of images under a camera's light; `None` if it does not say where that is, or what full scale is.
+fn under_its_light(calibration: &Calibration, info: &CameraInfo) -> Option<InfraredOptics> {
     Some(InfraredOptics {
-        light: calibration.light.near_light(light.position_m),
+        light: calibration.light.near_light(info.light?.position_m),
         calibration: calibration.clone(),
-        full_scale,
+        full_scale: info.ir_full_scale?,
     })
 }
 

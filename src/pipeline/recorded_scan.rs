@@ -238,6 +238,7 @@ fn shading_snapshot(stored: StoredSnapshot, meta: &SnapshotMeta) -> ShadingSnaps
         unlit_counts: stored.unlit.map(|image| image.map(|&c| f32::from(c))),
         depth_m: stored.depth_m,
         world_from_camera: stored.world_from_camera,
+        moved: meta.moved(),
     }
 }
 
@@ -245,8 +246,9 @@ fn shading_snapshot(stored: StoredSnapshot, meta: &SnapshotMeta) -> ShadingSnaps
 mod tests {
     use super::super::deliver::Outbox;
     use super::*;
-    use crate::geometry::Pose;
+    use crate::geometry::{Pose, increment, increment_of};
     use depth_camera::{DepthCamera, Image};
+    use nalgebra::Vector6;
     use simulated::SimulatedCamera;
     use std::fs;
 
@@ -257,6 +259,11 @@ mod tests {
         (lens.width, lens.height, lens.cx, lens.cy) = (16, 16, 8.0, 8.0);
         info.n_frames = None;
         info
+    }
+
+    /// How the camera went over the pause for the second image.
+    fn moved() -> Pose {
+        increment(&Vector6::new(0.01, -0.02, 0.03, 0.004, 0.005, -0.006))
     }
 
     /// Writes a scan without surface, with one shading image of each of two cameras.
@@ -274,6 +281,7 @@ mod tests {
                 unlit_counts: None,
                 depth_m: Image::filled(width, height, 0.5),
                 world_from_camera: Pose::identity(),
+                moved: (number == 1).then(moved),
             };
             let alone = folder.join(format!("of-{number}"));
             fs::create_dir(&alone).unwrap();
@@ -301,7 +309,12 @@ mod tests {
         write(folder.path(), [&first, &other_gain]);
         let read = RecordedScan::read(folder.path()).unwrap();
         assert_eq!(read.info.ir_gain, first.ir_gain);
-        assert_eq!(read.scan.snapshots.unwrap().accepted.len(), 2);
+        let [rested, went] = &read.scan.snapshots.unwrap().accepted[..] else {
+            panic!("two were written");
+        };
+        assert_eq!(rested.moved, None);
+        let off = went.moved.unwrap().inverse() * moved();
+        assert!(increment_of(&off).norm() < 1e-12, "{off}");
 
         let mut larger = first.clone();
         larger.intrinsics.width = 32;

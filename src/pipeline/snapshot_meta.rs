@@ -1,9 +1,13 @@
 //! What stands beside a shading image in an output folder: all that is needed to refine from it again.
 
+use crate::geometry::{Pose, increment, increment_of};
 use crate::snapshot::ShadingSnapshot;
 use depth_camera::{CameraInfo, Intrinsics, Light, LightKind, Sensor};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+/// No camera turns (rad) or moves (m) farther over a pause.
+const MAX_MOVED: f64 = 1.0;
 
 /// The contents of `meta.json`.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -23,6 +27,10 @@ pub struct SnapshotMeta {
     ir_gain: Option<u16>,
     light_position_camera_m: Option<[f64; 3]>,
     intrinsics: Intrinsics,
+    /// How the camera moved over the pause for it, where it did not rest: a turn (rotation vector, rad), then a shift (m), in the camera
+    /// frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera_moved: Option<[f64; 6]>,
 }
 
 impl SnapshotMeta {
@@ -39,7 +47,13 @@ impl SnapshotMeta {
             ir_gain: info.ir_gain,
             light_position_camera_m: info.light.map(|light| light.position_m),
             intrinsics: info.intrinsics,
+            camera_moved: snapshot.moved.map(|moved| increment_of(&moved).into()),
         }
+    }
+
+    /// How the camera moved over the pause for it; `None` where it rested.
+    pub fn moved(&self) -> Option<Pose> {
+        self.camera_moved.map(|moved| increment(&moved.into()))
     }
 
     /// As it is written.
@@ -64,6 +78,12 @@ impl SnapshotMeta {
         {
             return Err(format!(
                 "ir_full_scale is {full_scale}, must be positive and finite"
+            ));
+        }
+        let moved = self.camera_moved.iter().flatten();
+        if let Some(part) = moved.copied().find(|part| part.abs() > MAX_MOVED) {
+            return Err(format!(
+                "camera_moved has {part}, must be within {MAX_MOVED} of 0"
             ));
         }
         let kind = match sensor {

@@ -172,6 +172,7 @@ pub fn image(
         unlit_counts: None,
         depth_m: Image::from_vec(camera.width, camera.height, depths_m),
         world_from_camera: *world_from_camera,
+        moved: None,
     }
 }
 

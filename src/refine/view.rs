@@ -87,6 +87,8 @@ pub struct View {
     light_depth_m: Arc<Image<f32>>,
     /// Pose from tracking.
     pub tracked_camera_from_world: Pose,
+    /// Along which motion of the camera, camera frame, the image may lie elsewhere: see [`ShadingSnapshot::moved`].
+    pub moved: Option<Pose>,
     /// Pose refined by the images.
     pub camera_from_world: Pose,
     /// Brightness of this view against the others.
@@ -209,6 +211,7 @@ impl View {
             light_lens: Lens::new(&light_model),
             light_depth_m: Arc::new(light_depth_m),
             tracked_camera_from_world: camera_from_world,
+            moved: snapshot.moved,
             camera_from_world,
             gain: 1.0,
             gain_field: GainField::flat(

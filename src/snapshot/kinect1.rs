@@ -13,6 +13,7 @@ use super::exposures::{Agreeing, Exposure, agreeing, mean_counts, saturated_shar
 use super::guide::{Guidance, Guide};
 use super::information::{ViewInformation, view_information};
 use super::lamp_group::{LampGroup, is_lit, unlit};
+use super::pause::MAX_WAY;
 use super::rejection::RejectReason;
 use super::speckle::{Texture, texture};
 use super::{HeldPose, Placed, ShadingSnapshot, SnapshotParams, TrackedFrame};
@@ -236,12 +237,15 @@ impl ShadingSequence {
         let is_recent = first.device_time_secs - before.at.device_time_secs <= MAX_HOLD_SECS;
         let is_late = after.device_time_secs - last.device_time_secs > MAX_HOLD_SECS;
         let between = pose_between(&before.at, after, &to.params);
-        let world_from_camera = match (between, to.params.held_pose) {
-            (Ok(pose), _) => pose,
-            (Err(_), HeldPose::BetweenOrBefore) if is_recent => before.at.world_from_camera,
-            (Err(_), HeldPose::BetweenUnlessLate) if is_recent && is_late => {
-                before.at.world_from_camera
+        let before_pause = before.at.world_from_camera;
+        let (world_from_camera, moved) = match (between, to.params.held_pose) {
+            (Ok(pose), _) => (pose, None),
+            (Err(_), HeldPose::BetweenOrBefore) if is_recent => {
+                let moved = before_pause.inverse() * after.world_from_camera;
+                let is_way = motion_between(&Pose::identity(), &moved).is_within(&MAX_WAY);
+                (before_pause, is_way.then_some(moved))
             }
+            (Err(_), HeldPose::BetweenUnlessLate) if is_recent && is_late => (before_pause, None),
             (Err(moved), _) => return Err(moved),
         };
         let full_scale = to.optics.full_scale;
@@ -258,6 +262,7 @@ impl ShadingSequence {
             unlit_counts: None,
             depth_m: before.depth_m.clone(),
             world_from_camera,
+            moved,
         })
     }
 }

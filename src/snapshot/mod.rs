@@ -13,6 +13,7 @@
 mod kinect1;
 mod kinect2;
 mod params;
+mod pause;
 mod rejection;
 
 mod candidates;
@@ -69,6 +70,9 @@ pub struct ShadingSnapshot {
     pub depth_m: Image<f32>,
     /// Pose of the camera, from tracking.
     pub world_from_camera: Pose,
+    /// How the camera moved over the pause in which it was taken, where it did not rest: the pose after it in the camera frame before it.
+    /// The image was taken somewhere on that way.
+    pub moved: Option<Pose>,
 }
 
 impl ShadingSnapshot {
@@ -82,6 +86,7 @@ impl ShadingSnapshot {
             unlit_counts: None,
             depth_m: frame.depth.clone()?,
             world_from_camera,
+            moved: None,
         })
     }
 

@@ -45,7 +45,8 @@ pub struct SnapshotParams {
 pub enum HeldPose {
     /// Halfway between the last one before and the first one after where they agree; else, for a hand that moved on before
     /// depth was back, the last one before, at most a second old. Then only the exposures' agreement says that the hand
-    /// was still, and refinement aligns the view by its image.
+    /// was still; at the end of the scan the image is put where on the way from before to after its light agrees best with the
+    /// surface, and refinement aligns the view by its image.
     #[default]
     BetweenOrBefore,
     /// Halfway between the last one before and the first one after, which must agree: the hand is measured to be still.

@@ -70,6 +70,7 @@ pub(super) fn view_of_plane(
         depth_m: seen_by(plane, world_from_camera, &camera)
             .map(|hit| hit.map_or(0.0, |point| (world_from_camera.inverse() * point).z as f32)),
         world_from_camera: *world_from_camera,
+        moved: None,
     };
     let points = seen_by(plane, world_from_camera, &camera.reduced(2));
     let model = ModelMap {

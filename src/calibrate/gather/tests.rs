@@ -152,6 +152,7 @@ fn an_image_without_the_ball_is_none_of_the_ball() {
             unlit_counts: None,
             depth_m: Image::filled(width, height, 1.0),
             world_from_camera: Pose::identity(),
+            moved: None,
         };
         let sphere = FoundSphere {
             centre_world: Point3::new(x, 0.0, z),

@@ -5,7 +5,7 @@ use super::{FusedScan, FusionStage, FusionSummary, loops::tell_of};
 use crate::{
     capture::Tracked,
     fusion::{GoesOn, PoseCorrection},
-    geometry::Pose,
+    geometry::{CameraModel, Pose, RayGrid},
     pipeline::{state::State, status::Phase, timing::StageClock},
     snapshot::{SnapshotSelection, SnapshotSelector},
 };
@@ -58,6 +58,7 @@ impl FusionStage {
             tracing::info!(n_bricks = n_thin, "thin parts fused with a narrow band");
             if self.poses.is_none() {
                 self.settle(snapshots.as_mut());
+                self.place_on_their_way(snapshots.as_mut());
             }
             self.status.update(|status| status.improvement = None);
             self.summary.unimproved_reason = stop.is_stopped().then(|| STOPPED.to_owned());
@@ -135,6 +136,28 @@ impl FusionStage {
             if let Some(settled) = settled {
                 let depth_from_image = world_from_depth.inverse() * snapshot.world_from_camera;
                 snapshot.world_from_camera = settled * depth_from_image;
+            }
+        }
+    }
+
+    /// Puts shading images whose camera did not rest over the pause where on its way their light says that they were taken.
+    fn place_on_their_way(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        let Some(lamp) = &self.lamp else { return };
+        let rays = RayGrid::new(CameraModel::new(self.intrinsics));
+        let (fusion, pool, stop) = (&self.fusion, &self.pool, &self.stop);
+        let snapshots = snapshots.into_iter().flat_map(|s| &mut s.accepted);
+        for snapshot in snapshots.take_while(|_| !stop.is_stopped()) {
+            let way_m = snapshot.moved.map(|moved| moved.translation.vector.norm());
+            let seen_from = |pose: &Pose| fusion.seen_from(pose);
+            let share = pool.install(|| snapshot.place_on_its_way(&rays, lamp, seen_from));
+            if let Some((way_m, share)) = way_m.zip(share) {
+                let (frame_id, way_mm) = (snapshot.frame_id, 1e3 * way_m);
+                tracing::info!(
+                    frame_id,
+                    way_mm,
+                    share,
+                    "the camera moved over the pause: where on its way the shading image was taken"
+                );
             }
         }
     }

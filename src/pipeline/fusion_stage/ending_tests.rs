@@ -45,6 +45,7 @@ pub(super) fn setup(
         info,
         fusion,
         infrared: None,
+        lamp: None,
         snapshot: SnapshotParams::default(),
         self_calibration: None,
         poses: None,
@@ -151,6 +152,7 @@ fn images_are_asked_for_the_calibration_where_there_are_some_and_the_scan_is_not
         unlit_counts: None,
         depth_m: Image::filled(1, 1, 0.0),
         world_from_camera: Pose::identity(),
+        moved: None,
     });
     stage.stop.stop();
     stage.recalibrate(Some(&selection));
@@ -192,6 +194,7 @@ fn a_shading_image_settles_as_its_depth_does_and_keeps_its_place_beside_it() {
         unlit_counts: None,
         depth_m: depth.clone(),
         world_from_camera: world_from_depth * depth_from_image,
+        moved: None,
     });
     stage.settle(Some(&mut selection));
     let off = motion_between(

@@ -57,6 +57,8 @@ pub struct FusionSetup {
     pub fusion: FusionParams,
     /// Infrared images that hold the camera where the geometry does not; `None` without such images.
     pub infrared: Option<InfraredOptics>,
+    /// Shading images of a lamp, which tell where the camera was when they were taken; `None` for a camera that needs none.
+    pub lamp: Option<InfraredOptics>,
     /// Selection of shading images.
     pub snapshot: SnapshotParams,
     /// What is taken off the depth.
@@ -206,11 +208,13 @@ pub fn run(
 /// Sends a scan that was fused before.
 pub fn send(scan: FusedScan, scans: &Sender<Arc<FusedScan>>) -> FusionSummary {
     let scan = Arc::new(scan);
+    let is_empty = scan.base.faces.is_empty();
     // A refinement that is gone is told of where its thread is joined.
     let _ = scans.send(scan.clone());
     FusionSummary {
         n_fused: scan.world_from_cameras.len() as u64,
         path_length_m: path_length_m(&scan.world_from_cameras),
+        no_surface_reason: is_empty.then(|| "the base mesh of the scan has no faces".to_owned()),
         scan: Some(scan),
         ..FusionSummary::default()
     }
@@ -221,6 +225,7 @@ struct FusionStage {
     fusion: Fusion,
     correction: DepthCorrection,
     self_calibration: Option<SelfCalibration>,
+    lamp: Option<InfraredOptics>,
     selector: Option<SnapshotSelector>,
     conditions: Conditions,
     /// What the frames say of the state, and what the operator was told last.
@@ -289,6 +294,7 @@ impl FusionStage {
             range,
             correction: setup.correction,
             self_calibration: setup.self_calibration,
+            lamp: setup.lamp,
             poses: setup.poses,
             pool: setup.pool,
             loops: LoopsUnderWay::new(setup.loops),

@@ -293,7 +293,19 @@ fn the_pose_before_may_be_trusted_for_a_second() {
         assert_eq!(selection.accepted.len(), n_accepted);
         for snapshot in selection.accepted {
             assert_eq!(snapshot.world_from_camera.translation.x, 0.01);
+            let moved_m = snapshot.moved.map(|moved| moved.translation.x);
+            assert!((moved_m.unwrap() - 0.04).abs() < 1e-12, "{moved_m:?}");
         }
+    }
+}
+
+#[test]
+fn a_hand_that_was_still_or_was_found_elsewhere_went_no_way() {
+    use Shows::*;
+    for after in [0.002, 0.08] {
+        let selection = select(&[Depth(0.0), Lamp(300), Lamp(300), Depth(after)]);
+        assert_eq!(selection.accepted.len(), 1);
+        assert_eq!(selection.accepted[0].moved, None, "{after} m");
     }
 }
 

@@ -1,0 +1,255 @@
+//! Where a Kinect I was when its lamp lit an image, if it did not rest over the pause for it: somewhere on the way from the frame before to the
+//! frame after, which nobody tracked.
+//!
+//! The light tells. By the near light model the logarithm of the intensity is that of `(n·l)/d²` and the albedo's together. Where the model is
+//! seen from the image's own pose, their difference changes as the albedo does; from any other every edge and fold of the surface shows in it
+//! twice, where the image has it and where it is predicted. So the image is put where that difference changes least from one pixel to the next.
+
+use super::ShadingSnapshot;
+use crate::fusion::{InfraredOptics, ModelMap};
+use crate::geometry::{Motion, Pose, RayGrid, between};
+use crate::shading::{NearLight, SATURATION, linearise};
+use depth_camera::Image;
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+/// No hand that was to hold still goes farther in a pause; what does was not tracked.
+pub(super) const MAX_WAY: Motion = Motion {
+    rotation_rad: 0.15,
+    translation_m: 0.06,
+};
+/// Shares of the way that are looked at.
+const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Surface lit at a smaller cosine is not looked at: there a small error of the normal is a large one of the light.
+const MIN_COSINE: f64 = 0.25;
+/// Darker pixels, as shares of full scale on the optical axis, show noise.
+const DARKEST: f32 = 0.01;
+/// A larger change of the logarithm counts as this: one shadow is not to outweigh the surface.
+const LARGEST_CHANGE: f32 = 1.0;
+/// Fewer pairs of pixels do not tell.
+const MIN_PAIRS: usize = 500;
+
+impl ShadingSnapshot {
+    /// Puts an image whose camera moved over the pause to the pose on its way at which the light agrees best with the surface that
+    /// `seen_from` shows from poses of the camera, world frame, at a whole fraction of the image's resolution. Returns the share of the
+    /// way; `None`, and it stays at the frame before, where the camera rested or the surface does not tell.
+    pub fn place_on_its_way(
+        &mut self,
+        rays: &RayGrid,
+        optics: &InfraredOptics,
+        seen_from: impl Fn(&Pose) -> ModelMap + Sync,
+    ) -> Option<f64> {
+        let before = self.world_from_camera;
+        let after = before * self.moved?;
+        let calibration = &optics.calibration;
+        let counts = self.lit_counts(optics.full_scale, calibration.gamma);
+        let flat = calibration.flat_field.image(rays);
+        let linear = linearise(&counts, optics.full_scale, SATURATION, calibration, &flat);
+        let seen = SHARES.par_iter().with_max_len(1).map(|&share| {
+            let pose = between(&before, &after, share);
+            change(&linear.integrated, &seen_from(&pose), &pose, &optics.light)
+        });
+        let changes: Option<Vec<f64>> = seen.collect();
+        let share = share_of_least(&changes?);
+        self.world_from_camera = between(&before, &after, share);
+        Some(share)
+    }
+}
+
+/// How much the logarithm of the intensity over that of the predicted light changes between neighbouring pixels of a model that was seen from a
+/// pose, mean; `None` where too few show both.
+fn change(
+    linear: &Image<f32>,
+    model: &ModelMap,
+    world_from_camera: &Pose,
+    light: &NearLight,
+) -> Option<f64> {
+    let camera_from_world = world_from_camera.inverse();
+    let surface = model.points.data().iter().zip(model.normals.data());
+    let predicted = surface.map(|(point, normal)| {
+        let point = camera_from_world * Point3::from(point.cast::<f64>());
+        predicted(&point, &(camera_from_world * normal.cast::<f64>()), light)
+    });
+    let (width, height) = (model.points.width(), model.points.height());
+    let predicted = Image::from_vec(width, height, predicted.collect());
+    let rest = |u: usize, v: usize| {
+        let intensity = mean_of_cell(linear, width, u, v).filter(|mean| *mean >= DARKEST)?;
+        Some((intensity / smoothed(&predicted, u, v)?).ln())
+    };
+    let rests: Vec<Option<f32>> = (0..width * height)
+        .map(|pixel| rest(pixel % width, pixel / width))
+        .collect();
+    let (mut sum, mut n) = (0.0, 0);
+    for (pixel, &rest) in rests.iter().enumerate() {
+        let right = (pixel + 1) % width != 0;
+        let beside = [right.then_some(pixel + 1), Some(pixel + width)];
+        for other in beside.into_iter().flatten() {
+            let other = rests.get(other).copied().flatten();
+            if let Some((here, there)) = rest.zip(other) {
+                sum += f64::from((here - there).abs().min(LARGEST_CHANGE));
+                n += 1;
+            }
+        }
+    }
+    (n >= MIN_PAIRS).then(|| sum / n as f64)
+}
+
+/// `(n·l)/d²` of Eq. (1) at a point (m, camera frame); NaN where no surface is seen, or it is lit too slantingly.
+fn predicted(point: &Point3<f64>, normal: &Vector3<f64>, light: &NearLight) -> f32 {
+    let incident = light.incident(point);
+    let irradiance = normal.dot(&incident);
+    match irradiance > MIN_COSINE * incident.norm() {
+        true => irradiance as f32,
+        false => f32::NAN,
+    }
+}
+
+/// The mean of an image over the cell that one of its reduced image's pixels is; `None` where a pixel has no value.
+fn mean_of_cell(image: &Image<f32>, reduced_width: usize, u: usize, v: usize) -> Option<f32> {
+    let side = image.width() / reduced_width;
+    let rows = v * side..(v + 1) * side;
+    let sum: f32 = rows
+        .map(|row| image.row(row)[u * side..(u + 1) * side].iter().sum::<f32>())
+        .sum();
+    let mean = sum / (side * side) as f32;
+    (!mean.is_nan()).then_some(mean)
+}
+
+/// Mean of the pixels that have a value, from one row and column before to one after, in the proportions 1, 2, 1: the model's normals are noisy;
+/// `None` where the middle one has none.
+fn smoothed(image: &Image<f32>, u: usize, v: usize) -> Option<f32> {
+    if image.at(u, v).is_nan() {
+        return None;
+    }
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for row in v.saturating_sub(1)..(v + 2).min(image.height()) {
+        for column in u.saturating_sub(1)..(u + 2).min(image.width()) {
+            let value = *image.at(column, row);
+            let nearness = |at: usize, middle: usize| if at == middle { 2.0 } else { 1.0 };
+            let weight = nearness(row, v) * nearness(column, u);
+            if !value.is_nan() {
+                sum += weight * value;
+                weights += weight;
+            }
+        }
+    }
+    Some(sum / weights)
+}
+
+/// The share of the way, 0 to 1, at which a parabola through the changes at [`SHARES`] is least.
+fn share_of_least(changes: &[f64]) -> f64 {
+    // Sums over shares less their middle: of squares, and of squares' deviations from their mean.
+    let middle = 0.5;
+    let (mut slope, mut bend) = (0.0, 0.0);
+    let (mut squares, mut fourths) = (0.0, 0.0);
+    let mean_square =
+        SHARES.iter().map(|s| (s - middle).powi(2)).sum::<f64>() / SHARES.len() as f64;
+    for (share, change) in SHARES.iter().zip(changes) {
+        let x = share - middle;
+        let beyond = x * x - mean_square;
+        slope += x * change;
+        squares += x * x;
+        bend += beyond * change;
+        fourths += beyond * beyond;
+    }
+    let (slope, bend) = (slope / squares, bend / fourths);
+    match bend > 0.0 {
+        true => (middle - slope / (2.0 * bend)).clamp(0.0, 1.0),
+        false if slope > 0.0 => 0.0,
+        false => 1.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{CameraModel, increment};
+    use crate::shading::Calibration;
+    use crate::snapshot::scenes;
+    use depth_camera::Sensor;
+    use nalgebra::Vector6;
+
+    /// A roof, its ridge towards the camera, and where the ray of a pixel from a pose meets it.
+    fn meet(world_from_camera: &Pose, [x, y]: [f32; 2]) -> (Point3<f64>, Vector3<f64>) {
+        const STEEPNESS: f64 = 0.5;
+        let eye = world_from_camera.translation.vector;
+        let ray = world_from_camera * Vector3::new(f64::from(x), f64::from(y), 1.0);
+        let sides = [-1.0, 1.0].map(|side| {
+            let normal = Vector3::new(side * STEEPNESS, 0.0, -1.0) / STEEPNESS.hypot(1.0);
+            let way = (Vector3::new(0.0, 0.0, 0.6) - eye).dot(&normal) / ray.dot(&normal);
+            (Point3::from(eye + way * ray), normal)
+        });
+        // Of a roof that is convex the farther plane hides the nearer one.
+        let [left, right] = sides;
+        match left.0.z >= right.0.z {
+            true => left,
+            false => right,
+        }
+    }
+
+    #[test]
+    fn an_image_is_put_where_on_its_way_it_was_taken() {
+        let info = scenes::camera_info(Sensor::Kinect1);
+        let camera = CameraModel::new(info.intrinsics);
+        let rays = RayGrid::new(camera);
+        let reduced = RayGrid::new(camera.reduced(2));
+        let calibration = Calibration::shipped_for(&info).unwrap();
+        let light = calibration.light.near_light(info.light.unwrap().position_m);
+        let full_scale = info.ir_full_scale.unwrap();
+        let optics = InfraredOptics {
+            light,
+            calibration: calibration.clone(),
+            full_scale,
+        };
+        let flat = calibration.flat_field.image(&rays);
+        let before = increment(&Vector6::new(0.0, 0.02, 0.0, -0.015, 0.0, 0.0));
+        let moved = increment(&Vector6::new(0.0, -0.03, 0.01, 0.04, 0.005, 0.0));
+        let seen_from = |pose: &Pose| {
+            let hits = reduced.rays().map(|&ray| meet(pose, ray));
+            ModelMap {
+                points: hits.map(|(point, _)| point.coords.cast()),
+                normals: hits.map(|(_, normal)| normal.cast()),
+            }
+        };
+        for share in [0.0, 0.4, 1.0] {
+            let pose = between(&before, &(before * moved), share);
+            let camera_from_world = pose.inverse();
+            let pixels = rays.rays().data().iter().zip(flat.data());
+            let counts = pixels.map(|(&ray, flat)| {
+                let (point, normal) = meet(&pose, ray);
+                // A darker stripe across the roof, which no model knows.
+                let albedo = if point.y.abs() < 0.03 { 0.06 } else { 0.12 };
+                let (point, normal) = (camera_from_world * point, camera_from_world * normal);
+                let linear = albedo * flat * light.irradiance(&point, &normal).max(0.0);
+                (full_scale * linear.powf(calibration.gamma)) as f32
+            });
+            let (width, height) = (info.intrinsics.width, info.intrinsics.height);
+            let mut snapshot = ShadingSnapshot {
+                frame_id: 0,
+                device_time_secs: 0.0,
+                n_exposures: 4,
+                ir_counts: Image::from_vec(width, height, counts.collect()),
+                unlit_counts: None,
+                depth_m: Image::filled(width, height, 0.6),
+                world_from_camera: before,
+                moved: Some(moved),
+            };
+            let found = snapshot
+                .place_on_its_way(&rays, &optics, seen_from)
+                .unwrap();
+            assert!((found - share).abs() < 0.12, "{found} for {share}");
+            let expected = between(&before, &(before * moved), found);
+            assert_eq!(snapshot.world_from_camera, expected);
+            snapshot.moved = None;
+            assert_eq!(snapshot.place_on_its_way(&rays, &optics, seen_from), None);
+        }
+    }
+
+    #[test]
+    fn what_bends_the_other_way_is_least_at_an_end() {
+        assert_eq!(share_of_least(&[5.0, 4.0, 3.0, 4.0, 5.0]), 0.5);
+        assert_eq!(share_of_least(&[1.0, 1.8, 2.5, 3.1, 3.6]), 0.0);
+        assert_eq!(share_of_least(&[3.6, 3.1, 2.5, 1.8, 1.0]), 1.0);
+        assert_eq!(share_of_least(&[1.0, 2.0, 4.0, 7.0, 11.0]), 0.0);
+    }
+}
