@@ -144,6 +144,9 @@ pub struct RefinedMesh {
     pub rmse_before: f64,
     /// The same on the refined mesh.
     pub rmse_after: f64,
+    /// How much patches of the base surface disagree with what the light makes of them, in standard deviations: 1 on most scans; 0 where they
+    /// were not asked.
+    pub misfit: f64,
     /// What images that refinement did not use say of both meshes.
     pub held_out: HeldOut,
     /// What the images say of the vertices.
@@ -178,7 +181,7 @@ pub struct SurfaceDistance {
 /// What the images say of the vertices of a refined mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Evidence {
-    /// Share of the vertices that no image shows: there the surface is as it was fused.
+    /// Share of the vertices that no image shows: there the surface is as it was fused, but for some 8 mm beside what images show.
     pub unseen_share: f64,
     /// Share of the vertices that images show, but not from where their tilt would change the brightness.
     pub weak_share: f64,

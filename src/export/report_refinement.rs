@@ -61,7 +61,7 @@ fn evidence(evidence: &Evidence) -> Markup {
         p { "A vertex is seen by " (evidence.median_views) " images in the median, its displacement known to "
             (length(evidence.median_sigma_m)) " (nine tenths of them to " (length(evidence.high_sigma_m)) ")."
             @if evidence.unseen_share > 0.0 {
-                " No image shows " strong { (percent(evidence.unseen_share)) " of its vertices" } ": there the surface is as it was fused."
+                " No image shows " strong { (percent(evidence.unseen_share)) " of its vertices" } ": there the surface is as it was fused, but for the first 8 mm or so beside what images show, where it goes along."
             }
             @if evidence.weak_share > 0.0 {
                 " Of another " (percent(evidence.weak_share)) " images say little, since they show them from one side only."

@@ -94,7 +94,7 @@ fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
         ),
         (
             "Images",
-            "How many shading images show the surface; where there is none it is as it was fused.",
+            "How many shading images show the surface; where there is none it is as it was fused, but for some 8 mm beside what they show.",
             &n_views,
             most_views,
             1.0,

@@ -15,7 +15,7 @@ use crate::{
         Remeshing, Report, SurfaceDistance, Tracking,
     },
     refine::{
-        Judgement, Material, RefineStatus, Refinement,
+        Judgement, MAX_MISFIT, Material, RefineStatus, Refinement,
         remesh::{Distances, RemeshDistance},
     },
     snapshot::ShadingSnapshot,
@@ -68,6 +68,7 @@ pub fn compose(subject: &Subject, endings: &Endings, account: &Account) -> Repor
     let mut warnings = warnings(subject, endings, account);
     warnings.extend(refined.refinement.as_ref().and_then(unjudged));
     warnings.extend(refined.refinement.as_ref().and_then(contradicted));
+    warnings.extend(refined.refinement.as_ref().and_then(hardly_fitting));
     warnings.extend(
         refined
             .refinement
@@ -143,6 +144,18 @@ fn contradicted(refinement: &Refinement) -> Option<String> {
     ))
 }
 
+/// The warning about images that may not be of this surface from these poses.
+fn hardly_fitting(refinement: &Refinement) -> Option<String> {
+    (refinement.misfit > MAX_MISFIT).then(|| {
+        format!(
+            "the images hardly fit the surface: patches of it are {:.1} standard deviations from as bright as the light would make them, \
+             1 on most scans and above {MAX_MISFIT} on very rough surfaces; where ir_offset_px, the poses or the depth is wrong \
+             refined.ply is worse than base.ply",
+            refinement.misfit
+        )
+    })
+}
+
 /// The warning about one label where facets differ more than a material does.
 fn one_for_all(materials: &[Material], spread: f64) -> Option<String> {
     /// From this share on a label has swallowed the rest; arbitrary.
@@ -167,14 +180,13 @@ fn warnings(subject: &Subject, endings: &Endings, account: &Account) -> Vec<Stri
     let mut warnings = subject.warnings.clone();
     let capture = endings.capture;
     if endings.stopped_early {
-        let of = match subject.info.n_frames {
-            Some(n_frames) => format!(" of {n_frames}"),
-            None => String::new(),
+        let after = match (capture.n_frames, subject.info.n_frames) {
+            // Nothing was captured to begin with.
+            (0, _) => String::new(),
+            (n_frames, Some(of)) => format!(", after {n_frames} of {of} frames"),
+            (n_frames, None) => format!(", after {n_frames} frames"),
         };
-        warnings.push(format!(
-            "the run was stopped early, after {}{of} frames",
-            capture.n_frames
-        ));
+        warnings.push(format!("the run was stopped early{after}"));
     }
     if let Some(first) = &capture.first_damage {
         warnings.push(format!(
@@ -271,6 +283,7 @@ fn refined_mesh(
             .fold(0.0, f64::max),
         rmse_before: refinement.rmse_before,
         rmse_after: refinement.rmse_after,
+        misfit: refinement.misfit,
         held_out: held_out(&refinement.judgement),
         evidence: evidence(refinement),
         views,

@@ -75,8 +75,8 @@ pub enum RefineError {
     },
     /// Images that refinement did not use fit the base surface better.
     #[error(
-        "the refined surface explains the images held out from it worse than the base surface, which stands: {:.1} % for \
-         {:.1} % of the mean intensity, {:.1} % for {:.1} % in its gradient",
+        "the refined surface explains the images held out from it worse than the base surface, which stands: unexplained is {:.1} % of the \
+         mean intensity ({:.1} % by the base surface), and {:.1} % of its gradient ({:.1} %)",
         100.0 * .0.refined.intensity, 100.0 * .0.base.intensity, 100.0 * .0.refined.gradient, 100.0 * .0.base.gradient
     )]
     WorseThanBase(HeldOut),

@@ -37,7 +37,8 @@ pub struct Evidence {
     pub confidence: Vec<f64>,
     /// Share of what is known of the worst known tilt that the images say, 0 to 1; what may be tint as well they do not say.
     pub coverage: Vec<f64>,
-    /// Views that see the surface round the vertex; where there are none the surface is as it was fused.
+    /// Views that see the surface round the vertex; where there are none the surface is as it was fused, but for some 8 mm beside what
+    /// they see, where it goes along.
     pub n_views: Vec<u8>,
 }
 

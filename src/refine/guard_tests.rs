@@ -6,8 +6,8 @@ use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_
 use super::sites::SiteKind;
 use super::surface::unit_normal;
 use super::{
-    ImageTrust, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement, Subject, cross_validate,
-    refine, slow_gain_limit,
+    ImageTrust, MAX_MISFIT, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement, Subject,
+    cross_validate, refine, slow_gain_limit,
 };
 use crate::geometry::{Pose, TriMesh};
 use crate::shading::{Calibration, Gloss};
@@ -410,6 +410,37 @@ fn one_of_two_materials_is_glossy() {
             }
         }
     }
+}
+
+#[test]
+fn images_that_lie_elsewhere_than_depth_disagree_with_the_light() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let refined_with = |beside_px: usize| {
+        let snapshots = poses_all_round();
+        let snapshots = snapshots.iter().map(|pose| {
+            let mut snapshot = RIPPLED.snapshot(&optics, pose);
+            let places = rays.rays().data().iter().zip(snapshot.depth_m.data());
+            for (counts, ([x, y], depth)) in snapshot.ir_counts.data_mut().iter_mut().zip(places) {
+                let place = pose * (Point3::new(*x, *y, 1.0) * *depth).cast::<f64>();
+                // A chessboard with fields of 2 cm.
+                let [column, row] = [place.x, place.y].map(|m| (m / 0.02).floor() as i64);
+                if (column + row) % 2 == 0 {
+                    *counts *= 0.5f64.powf(calibration.gamma) as f32;
+                }
+            }
+            snapshot.ir_counts.data_mut().rotate_right(beside_px);
+            snapshot
+        });
+        refine_all_round(&base, &snapshots.collect::<Vec<_>>(), &optics, true)
+    };
+    let misfit = |beside_px: usize| refined_with(beside_px).expect("is told").misfit;
+    let [in_place, beside] = [0, 8].map(misfit);
+    assert!(
+        in_place < MAX_MISFIT && beside > MAX_MISFIT,
+        "{in_place} {beside}"
+    );
 }
 
 #[test]

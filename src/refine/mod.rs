@@ -78,7 +78,7 @@ pub use object::{Roi, select_object, select_roi};
 pub use optics::Optics;
 pub use params::RefineParams;
 pub use pattern::Step;
-pub use self_calibration::{Contradiction, SelfCalibrationParams};
+pub use self_calibration::{Contradiction, MAX_MISFIT, SelfCalibrationParams};
 pub use single_view::surface_of_view;
 pub use site_motion::Linearisation;
 pub use sites::SiteKind;
@@ -150,6 +150,9 @@ pub struct Refinement {
     pub judgement: Judgement,
     /// For each view the pixels that could be used: 255, others 0.
     pub masks: Vec<Image<u8>>,
+    /// How much patches of the surface disagree with what the light makes of them, in standard deviations: 1.0 on most scans; 0 where they were
+    /// not asked.
+    pub misfit: f64,
     /// What the images say against the calibration; then the surface was refined by what they say.
     pub contradiction: Option<Contradiction>,
 }
@@ -230,6 +233,7 @@ pub fn refine(
         views,
         judgement,
         masks: state.views.iter().map(View::mask).collect(),
+        misfit: prepared.told().misfit,
         contradiction: prepared.told().contradiction.clone(),
         mesh: state.surface.mesh,
     })

@@ -359,7 +359,13 @@ pub fn first_views(n_views: usize) -> ViewSet {
     every(0, 1, n_views)
 }
 
+/// Fewer faces are no surface, but a crumb of one, or one whose faces share no vertices; arbitrary.
+const MIN_FACES: usize = 64;
+
 fn check_manifold(object: &TriMesh) -> Result<(), RefineError> {
+    if object.faces.len() < MIN_FACES {
+        return Err(RefineError::NoSurface);
+    }
     let edges = EdgeAdjacency::new(object);
     let of = edges.edges.len();
     let n_edges = edges.n_faces.iter().filter(|&&n| n > 2).count();

@@ -104,8 +104,9 @@ const MIN_SIGMAS_WITH_MODEL: f64 = 2.0;
 const MIN_SIGMAS: f64 = 3.0;
 
 /// Patches that disagree with Eq. (1) by more than so many standard deviations tell nothing of it: 1.0 on the recorded
-/// scans of an object, 6.7 on real views of a printed board whose depth is off by centimetres.
-const MAX_MISFIT: f64 = 2.0;
+/// scans of an object, up to 1.6 where their depth is off by 3 cm, 2.6 to 3.0 where images lie by 5 pixels, or poses by 8 mm, from where they
+/// should, but 2.6 on a rough rock, too, 6.7 on real views of a printed board whose depth is off by centimetres.
+pub const MAX_MISFIT: f64 = 2.0;
 
 /// A calibration that the images do not agree with, and what they say instead.
 #[derive(Clone, Debug, PartialEq)]
@@ -141,6 +142,8 @@ pub struct Told {
     pub gloss: Gloss,
     /// Logarithm of how much more of that light there is than by the views' white level; 0 where nothing explains the images.
     pub log_indirect: f64,
+    /// How much patches of the surface disagree with that, in standard deviations; 0 where they were not asked.
+    pub misfit: f64,
 }
 
 /// What the images tell of response, light and gloss from the `sites` of a surface that the views see.
@@ -206,6 +209,7 @@ pub fn told_by_images(
         } else {
             0.0
         },
+        misfit,
     }
 }
 
