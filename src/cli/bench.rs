@@ -68,6 +68,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         frame: run.frame_time(),
         fitness: run.fitness(),
         model_bytes: run.fusion.memory_bytes(),
+        refusal: run.fusion.refusal(),
         peak_memory_bytes: peak_memory_bytes(),
         mesh,
         live_mesh: run.live_mesh_time(),

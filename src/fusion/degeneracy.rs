@@ -19,7 +19,7 @@ use crate::geometry::{Pose, increment_about, point_to_plane_row};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Below this mean square share of the residuals' direction a motion is not held by the geometry. By the frame's normals sensor noise
-/// alone makes 0.0003 of a wall and 0.0008 to 0.0012 of a ball on a table; recorded objects have 0.0011 at least. By what they have in
+/// alone makes 0.0003 of a wall and 0.0008 to 0.0012 of a ball on a table; recorded objects have 0.0010 at least. By what they have in
 /// common with the model's these have 0.0033 at least, a simulated ball and a cylinder on a table 0.0004 at most.
 pub const MAX_DEGENERATE_SHARE: f64 = 0.0008;
 

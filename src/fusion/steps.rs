@@ -2,24 +2,25 @@
 
 use serde::Serialize;
 
-/// A step of fusing one frame, in the order in which they happen.
+/// A step of fusing one frame, in the order in which they happen, and what it costs: processor time on one thread in a busy hour, of a frame of
+/// `relief-k2` at 2 mm and of the desk at 5 mm with depth to 3 m, where a whole frame takes 9.9 and 9.6 ms (docs/benchmarks.md).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FusionStep {
-    /// Clipping, pyramid, normals.
+    /// Clipping, pyramid, normals: 0.6 and 0.8 ms, by the pixels of the image.
     Preprocess,
-    /// Alignment to the raycast model.
+    /// Alignment to the raycast model: 0.7 and 0.9 ms, by iterations over the images reduced by 8 and 4.
     Icp,
-    /// Alignment to the signed distances.
+    /// Alignment to the signed distances: 1.7 and 1.7 ms, likewise; most of it is reading voxels.
     SdfAlignment,
     /// Comparing the frame's shape with the model's ([`Fit::held_share`](super::Fit::held_share)), finding the blocks in the truncation
-    /// band and allocating new ones.
+    /// band and allocating new ones: 1.2 and 1.1 ms, by the surface in view in blocks.
     Allocate,
-    /// Updating the voxels of these blocks.
+    /// Updating the voxels of these blocks: 2.7 and 1.5 ms, by how many of them have their turn; four times as many with voxels half as large.
     Integrate,
-    /// Casting the model for the next frame.
+    /// Casting the model for the next frame: 2.3 and 2.9 ms, by the pixels of the image reduced by 4 and by the steps of their rays.
     Raycast,
-    /// Keeping the frame for closing loops and its place for finding back.
+    /// Keeping the frame for closing loops and its place for finding back: 0.4 and 0.6 ms, by the pixels of the image.
     Remember,
 }
 

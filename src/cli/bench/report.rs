@@ -22,6 +22,8 @@ pub(super) struct Measured {
     /// Tracked frames by how far they were from being lost; `None` where none was.
     pub(super) fitness: Option<Fitness>,
     pub(super) model_bytes: usize,
+    /// What was seen and found no place in the model, as a sentence; `None` if everything did.
+    pub(super) refusal: Option<String>,
     /// Largest resident memory of the process, the recording's images among it; `None` where the system does not tell.
     pub(super) peak_memory_bytes: Option<u64>,
     pub(super) mesh: Mesh,
@@ -93,11 +95,12 @@ impl Measured {
         } = self.frames;
         writeln!(
             Stdout,
-            "{}: voxels of {} mm, depth to {} m, {} threads",
+            "{}: voxels of {} mm, depth to {} m, {} thread{}",
             self.session,
             1e3 * self.voxel_size_m,
             self.depth_max_m,
-            self.threads
+            self.threads,
+            if self.threads == 1 { "" } else { "s" }
         )?;
         writeln!(
             Stdout,
@@ -114,8 +117,7 @@ impl Measured {
         )?;
         for time in &self.cpu_ms {
             if let Some(median_ms) = time.median_ms {
-                let step = format!("{:?}", time.step);
-                writeln!(Stdout, "  {step:<14}{median_ms:>8.2}")?;
+                writeln!(Stdout, "  {:<14}{median_ms:>8.2}", in_words(time.step))?;
             }
         }
         let frame = &self.frame;
@@ -125,7 +127,7 @@ impl Measured {
         if let (Some(wall_ms), Some(fps)) = (frame.frame_wall_ms, frame.fps) {
             writeln!(
                 Stdout,
-                "wall time a frame: {wall_ms:.2} ms, {fps:.0} frames/s"
+                "wall time a frame: {wall_ms:.2} ms, {fps:.0} frames/s without depth correction"
             )?;
         }
         if let Some(fitness) = &self.fitness {
@@ -136,6 +138,9 @@ impl Measured {
             )?;
         }
         writeln!(Stdout, "model: {} MiB", self.model_bytes >> 20)?;
+        if let Some(refusal) = &self.refusal {
+            writeln!(Stdout, "{refusal}")?;
+        }
         if let Some(bytes) = self.peak_memory_bytes {
             writeln!(Stdout, "largest resident memory: {} MiB", bytes >> 20)?;
         }
@@ -154,12 +159,24 @@ impl Measured {
         if let Some(error) = &self.trajectory {
             writeln!(
                 Stdout,
-                "trajectory: RMSE {:.2} mm, largest error {:.2} mm over {} poses",
+                "trajectory while tracking, loops open: RMSE {:.2} mm, largest error {:.2} mm over {} poses",
                 1e3 * error.rmse_m,
                 1e3 * error.max_m,
                 error.n_pairs
             )?;
         }
         Ok(())
+    }
+}
+
+fn in_words(step: FusionStep) -> &'static str {
+    match step {
+        FusionStep::Preprocess => "preprocess",
+        FusionStep::Icp => "ICP",
+        FusionStep::SdfAlignment => "distances",
+        FusionStep::Allocate => "band",
+        FusionStep::Integrate => "integrate",
+        FusionStep::Raycast => "raycast",
+        FusionStep::Remember => "remember",
     }
 }

@@ -69,11 +69,18 @@ fn judge(
     })
 }
 
+fn views_in_words(n_views: usize) -> String {
+    match n_views {
+        1 => "1 view".to_owned(),
+        _ => format!("{n_views} views"),
+    }
+}
+
 fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) -> Vec<Variation> {
     /// Shares of gamma that are tried.
     const GAMMAS: [f64; 2] = [0.85, 1.15];
     /// Numbers of views that are tried.
-    const N_VIEWS: [usize; 5] = [1, 3, 6, 12, 24];
+    const N_VIEWS: [usize; 6] = [1, 3, 6, 12, 24, 36];
     /// Deviations of poses that are held, radians and metres: the least that the parameters may have.
     const HELD: f64 = 1e-6;
     let with = |what: &str, change: &dyn Fn(&mut RefineParams)| {
@@ -87,7 +94,10 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         }
     };
     let mut variations = vec![
-        with("as configured", &|_| {}),
+        with(
+            &format!("as configured, {}", views_in_words(rest.len())),
+            &|_| {},
+        ),
         with("residuals at the facets", &|params| {
             params.sites = SiteKind::Face;
         }),
@@ -109,7 +119,7 @@ fn variations(calibration: &Calibration, params: &RefineParams, rest: &[usize]) 
         let spread = (0..n_learning).map(|k| rest[k * rest.len() / n_learning]);
         variations.push(Variation {
             learning: spread.collect(),
-            ..with(&format!("{n_learning} views"), &|_| {})
+            ..with(&views_in_words(n_learning), &|_| {})
         });
     }
     variations.extend([
