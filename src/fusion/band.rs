@@ -32,8 +32,6 @@ pub struct Band {
     /// Blocks in free space that hold something, of those that the frame looked through.
     filled: Vec<u32>,
     refused: Refused,
-    /// The same of the frame in hand.
-    refused_now: Refused,
     /// Where rays cross blocks, by how deep in the band.
     crossings: Vec<BlocksCrossed>,
 }
@@ -56,7 +54,7 @@ pub struct Touched {
     pub blocks: Vec<u32>,
 }
 
-/// Blocks that were seen and not allocated.
+/// Blocks that were seen and not allocated; one that is seen in many frames counts once for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
     /// Beyond the volume's border.
@@ -72,15 +70,11 @@ impl Refused {
         let over_budget = (self.n_over_budget > 0).then(|| {
             format!(
                 "the model has reached its {model_mb} MiB of fusion.memory_budget_mb, {memory_budget_mb}: new parts of the scene are not \
-                 fused, up to {} blocks of a frame",
-                self.n_over_budget
+                 fused"
             )
         });
         let outside = (self.n_outside > 0).then(|| {
-            format!(
-                "parts of the scene lie beyond the volume's border and are not fused, up to {} blocks of a frame",
-                self.n_outside
-            )
+            "parts of the scene lie beyond the volume's border and are not fused".to_owned()
         });
         match (over_budget, outside) {
             (Some(budget), Some(outside)) => Some(format!("{budget}; {outside}")),
@@ -129,7 +123,7 @@ impl Band {
         &self.filled
     }
 
-    /// What the volume refused so far, of the frame of which it was most.
+    /// What the volume refused so far.
     pub fn refused(&self) -> Refused {
         self.refused
     }
@@ -147,7 +141,6 @@ impl Band {
         turns: Turns,
     ) {
         self.frame += 1;
-        self.refused_now = Refused::default();
         let band = BandOfRays::new(volume, world_from_camera);
         self.crossings.clear();
         self.crossings
@@ -234,15 +227,8 @@ impl Band {
                     self.touched_in[block] = self.frame;
                 }
             }
-            Err(Refusal::Outside) => {
-                self.refused_now.n_outside += 1;
-                self.refused.n_outside = self.refused.n_outside.max(self.refused_now.n_outside);
-            }
-            Err(Refusal::OverBudget) => {
-                self.refused_now.n_over_budget += 1;
-                let now = self.refused_now.n_over_budget;
-                self.refused.n_over_budget = self.refused.n_over_budget.max(now);
-            }
+            Err(Refusal::Outside) => self.refused.n_outside += 1,
+            Err(Refusal::OverBudget) => self.refused.n_over_budget += 1,
         }
     }
 }

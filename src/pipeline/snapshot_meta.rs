@@ -51,7 +51,7 @@ impl SnapshotMeta {
         }
     }
 
-    /// How the camera moved over the pause for it; `None` where it rested.
+    /// How the camera moved over the pause for it; `None` where it rested, or nobody knows.
     pub fn moved(&self) -> Option<Pose> {
         self.camera_moved.map(|moved| increment(&moved.into()))
     }

@@ -12,7 +12,7 @@ pub const MAX_NON_MANIFOLD_SHARE: f64 = 0.01;
 /// Why nothing was refined, or what was refined is not delivered; the figures stand in the text.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RefineError {
-    /// The object's mesh is empty.
+    /// The object's mesh is empty, or a crumb.
     #[error("no surface of the object is left to refine")]
     NoSurface,
     /// Faces meet in ways that no surface does.

@@ -29,6 +29,9 @@ use std::ops::Range;
 /// 1.9 % low on the recorded scans, by those of 1.3 mm 1 %.
 const ASKED_EDGE_M: f64 = 0.0015;
 
+/// Fewer faces are a crumb, or what is left of a surface whose faces share no vertices; arbitrary.
+const MIN_FACES: usize = 64;
+
 /// All that the rounds need and do not change.
 pub struct Preparation {
     params: RefineParams,
@@ -63,6 +66,9 @@ impl Preparation {
             return Err(RefineError::TooManyViews {
                 n_views: snapshots.len(),
             });
+        }
+        if object.faces.len() < MIN_FACES {
+            return Err(RefineError::NoSurface);
         }
         check_manifold(object)?;
         let params = params.for_object(object, subject.footprint_m());
@@ -359,13 +365,7 @@ pub fn first_views(n_views: usize) -> ViewSet {
     every(0, 1, n_views)
 }
 
-/// Fewer faces are no surface, but a crumb of one, or one whose faces share no vertices; arbitrary.
-const MIN_FACES: usize = 64;
-
 fn check_manifold(object: &TriMesh) -> Result<(), RefineError> {
-    if object.faces.len() < MIN_FACES {
-        return Err(RefineError::NoSurface);
-    }
     let edges = EdgeAdjacency::new(object);
     let of = edges.edges.len();
     let n_edges = edges.n_faces.iter().filter(|&&n| n > 2).count();

@@ -70,8 +70,8 @@ pub struct ShadingSnapshot {
     pub depth_m: Image<f32>,
     /// Pose of the camera, from tracking.
     pub world_from_camera: Pose,
-    /// How the camera moved over the pause in which it was taken, where it did not rest: the pose after it in the camera frame before it.
-    /// The image was taken somewhere on that way.
+    /// How the camera moved over the pause in which it was taken, where it did not rest, camera frame: from the frame before to the frame
+    /// after. The image was taken somewhere on that way.
     pub moved: Option<Pose>,
 }
 

@@ -58,8 +58,8 @@ impl FusionStage {
             tracing::info!(n_bricks = n_thin, "thin parts fused with a narrow band");
             if self.poses.is_none() {
                 self.settle(snapshots.as_mut());
-                self.place_on_their_way(snapshots.as_mut());
             }
+            self.place_on_their_way(snapshots.as_mut());
             self.status.update(|status| status.improvement = None);
             self.summary.unimproved_reason = stop.is_stopped().then(|| STOPPED.to_owned());
             self.summary.refusal = self.fusion.refusal();
@@ -129,10 +129,16 @@ impl FusionStage {
         for snapshot in snapshots.take_while(|_| !stop.is_stopped()) {
             let until_secs = snapshot.device_time_secs;
             let is_by_then = |(time_secs, _): &&(f64, Pose)| *time_secs <= until_secs;
-            let Some((_, world_from_depth)) = self.trajectory.iter().rfind(is_by_then) else {
+            let last = || self.trajectory.iter().rfind(is_by_then);
+            let world_from_depth = match snapshot.moved {
+                // It lies where its depth does as yet, which is not of a frame that a hand half covered.
+                Some(_) => Some(snapshot.world_from_camera),
+                None => last().map(|(_, pose)| *pose),
+            };
+            let Some(world_from_depth) = world_from_depth else {
                 continue;
             };
-            let settled = pool.install(|| fusion.settle(&snapshot.depth_m, world_from_depth));
+            let settled = pool.install(|| fusion.settle(&snapshot.depth_m, &world_from_depth));
             if let Some(settled) = settled {
                 let depth_from_image = world_from_depth.inverse() * snapshot.world_from_camera;
                 snapshot.world_from_camera = settled * depth_from_image;
@@ -141,7 +147,7 @@ impl FusionStage {
     }
 
     /// Puts shading images whose camera did not rest over the pause where on its way their light says that they were taken.
-    fn place_on_their_way(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+    pub(super) fn place_on_their_way(&mut self, snapshots: Option<&mut SnapshotSelection>) {
         let Some(lamp) = &self.lamp else { return };
         let rays = RayGrid::new(CameraModel::new(self.intrinsics));
         let (fusion, pool, stop) = (&self.fusion, &self.pool, &self.stop);

@@ -10,15 +10,16 @@ use crate::{
         event_log::EventLog,
         status::{Phase, Status},
         threads::pool,
+        under_its_light,
     },
     refine::RefineParams,
     shading::Calibration,
     snapshot::ShadingSnapshot,
 };
 use crossbeam::channel::TryRecvError;
-use depth_camera::DepthCamera;
+use depth_camera::{DepthCamera, Sensor};
 use proptest::{collection::vec, prelude::*, sample::select};
-use simulated::SimulatedCamera;
+use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
 use std::{num::NonZeroUsize, sync::LazyLock, time::Instant};
 
 static INFO: LazyLock<CameraInfo> =
@@ -205,6 +206,65 @@ fn a_shading_image_settles_as_its_depth_does_and_keeps_its_place_beside_it() {
         off.translation_m < 1e-9 && off.rotation_rad < 1e-6,
         "{off:?}"
     );
+}
+
+#[test]
+fn a_shading_image_of_a_camera_that_moved_is_put_where_its_light_says() {
+    /// The image is taken where this frame was, and told to lie between the ones two before and two after.
+    const HELD: usize = 12;
+    let scene = Scene::plaque();
+    let (low, high) = scene.object_bounds();
+    let mut camera = SimulatedCamera::new(Setup {
+        scene,
+        trajectory: Trajectory::hand_held(nalgebra::center(&low, &high), 40),
+        sensor: Sensor::Kinect1,
+        infrared: Infrared::of_sensor(Sensor::Kinect1),
+        n_moving_frames: 20,
+        shading_frames: vec![HELD],
+        reduction: 2,
+        seed: 9,
+    })
+    .unwrap();
+    let info = camera.info().clone();
+    let params = FusionParams {
+        voxel_size_m: 0.004,
+        depth_max_m: 1.5,
+        ..FusionParams::default()
+    };
+    let (surfaces, _) = edges::surfaces();
+    let setup = FusionSetup {
+        lamp: under_its_light(&Calibration::shipped_for(&info).unwrap(), &info),
+        ..setup(info, params, surfaces)
+    };
+    let (tracked, _) = edges::tracked(&EventLog::default());
+    let mut stage = FusionStage::new(setup, tracked);
+    let (mut depth_m, mut exposure) = (Vec::new(), None);
+    while let Some(frame) = camera.grab(Duration::ZERO).unwrap() {
+        if frame.depth_share() < 0.1 {
+            exposure = frame.ir;
+            continue;
+        }
+        let outcome = stage.fuse(&frame);
+        assert_eq!(stage.account(&frame, outcome.as_ref()), Place::Fused);
+        depth_m.push(frame.depth.unwrap());
+    }
+    let [before, held, after] = [HELD - 2, HELD, HELD + 2].map(|frame| stage.trajectory[frame].1);
+    let mut selection = SnapshotSelection::default();
+    selection.accepted.push(ShadingSnapshot {
+        frame_id: 0,
+        device_time_secs: 0.0,
+        n_exposures: 1,
+        ir_counts: exposure.unwrap().map(|&counts| f32::from(counts)),
+        unlit_counts: None,
+        depth_m: depth_m[HELD - 2].clone(),
+        world_from_camera: before,
+        moved: Some(before.inverse() * after),
+    });
+    stage.place_on_their_way(Some(&mut selection));
+    let placed = &selection.accepted[0].world_from_camera;
+    let way_m = motion_between(&before, &after).translation_m;
+    let off_m = motion_between(&held, placed).translation_m;
+    assert!(off_m < 0.25 * way_m, "{off_m} m of {way_m}");
 }
 
 proptest! {

@@ -39,7 +39,7 @@ def depth_images(session):
 
 
 def shortened(session, n_images, folder):
-    """A session in `folder` with the first depth images of another, and of its other lists what is no later; images are linked."""
+    """A session in `folder` with the first depth images of another, and of its infrared list what is no later; all else is linked."""
     for entry in session.resolve().iterdir():
         (folder / entry.name).symlink_to(entry)
     rows = (session / "depth.txt").read_text().splitlines()
@@ -122,7 +122,7 @@ def main():
     parser.add_argument("--voxel-size", type=float, default=0.005)
     parser.add_argument("--depth-max", type=float, default=2.0)
     parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--frames", type=int, help="depth images, the first of the session; all without it")
+    parser.add_argument("--frames", type=int, help="depth images, the first of the session, at least 1; all without it")
     parser.add_argument("--relief", default=str(ROOT / "target/release/relief"))
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
