@@ -38,6 +38,7 @@ pub use guide::Guidance;
 pub use information::attention;
 pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
+pub use pause::place_on_their_ways;
 pub use rejection::{RejectReason, Rejection, Rejections};
 pub use speckle::{Texture, texture};
 

@@ -7,7 +7,7 @@ use crate::{
     fusion::{GoesOn, PoseCorrection},
     geometry::{CameraModel, Pose, RayGrid},
     pipeline::{state::State, status::Phase, timing::StageClock},
-    snapshot::{SnapshotSelection, SnapshotSelector},
+    snapshot::{SnapshotSelection, SnapshotSelector, place_on_their_ways},
 };
 use std::sync::Arc;
 
@@ -59,7 +59,7 @@ impl FusionStage {
             if self.poses.is_none() {
                 self.settle(snapshots.as_mut());
             }
-            self.place_on_their_way(snapshots.as_mut());
+            self.place_on_their_ways(snapshots.as_mut());
             self.status.update(|status| status.improvement = None);
             self.summary.unimproved_reason = stop.is_stopped().then(|| STOPPED.to_owned());
             self.summary.refusal = self.fusion.refusal();
@@ -146,18 +146,23 @@ impl FusionStage {
         }
     }
 
-    /// Puts shading images whose camera did not rest over the pause where on its way their light says that they were taken.
-    pub(super) fn place_on_their_way(&mut self, snapshots: Option<&mut SnapshotSelection>) {
-        let Some(lamp) = &self.lamp else { return };
+    /// Puts shading images whose camera did not rest over the pause where on their ways their light says that they were taken.
+    pub(super) fn place_on_their_ways(&mut self, snapshots: Option<&mut SnapshotSelection>) {
+        let Some((lamp, selection)) = self.lamp.as_ref().zip(snapshots) else {
+            return;
+        };
+        if self.stop.is_stopped() {
+            return;
+        }
         let rays = RayGrid::new(CameraModel::new(self.intrinsics));
-        let (fusion, pool, stop) = (&self.fusion, &self.pool, &self.stop);
-        let snapshots = snapshots.into_iter().flat_map(|s| &mut s.accepted);
-        for snapshot in snapshots.take_while(|_| !stop.is_stopped()) {
-            let way_m = snapshot.moved.map(|moved| moved.translation.vector.norm());
-            let seen_from = |pose: &Pose| fusion.seen_from(pose);
-            let share = pool.install(|| snapshot.place_on_its_way(&rays, lamp, seen_from));
-            if let Some((way_m, share)) = way_m.zip(share) {
-                let (frame_id, way_mm) = (snapshot.frame_id, 1e3 * way_m);
+        let (fusion, accepted) = (&self.fusion, &mut selection.accepted);
+        let seen_from = |pose: &Pose| fusion.seen_from(pose);
+        let shares = self
+            .pool
+            .install(|| place_on_their_ways(accepted, &rays, lamp, seen_from));
+        for (snapshot, share) in accepted.iter().zip(shares) {
+            if let Some((moved, share)) = snapshot.moved.zip(share) {
+                let (frame_id, way_mm) = (snapshot.frame_id, 1e3 * moved.translation.vector.norm());
                 tracing::info!(
                     frame_id,
                     way_mm,

@@ -260,7 +260,7 @@ fn a_shading_image_of_a_camera_that_moved_is_put_where_its_light_says() {
         world_from_camera: before,
         moved: Some(before.inverse() * after),
     });
-    stage.place_on_their_way(Some(&mut selection));
+    stage.place_on_their_ways(Some(&mut selection));
     let placed = &selection.accepted[0].world_from_camera;
     let way_m = motion_between(&before, &after).translation_m;
     let off_m = motion_between(&held, placed).translation_m;
