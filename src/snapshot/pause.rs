@@ -32,8 +32,7 @@ const MIN_CONTRAST: f64 = 0.01;
 const MIN_PAIRS: usize = 500;
 
 /// What all images of a scan say counts as so many times what each says by itself: who rests before the projector is covered, or only once it
-/// is, does so each time. On a pot one alone is right to 0.12 to 0.29 of
-/// its way, with all to 0.03 to 0.12.
+/// is, does so each time. On a pot one alone is right to 0.12 to 0.29 of its way, with all to 0.03 to 0.12.
 const HABIT: f64 = 2.0;
 
 /// How much the difference changes at each of [`SHARES`], against its mean over them.
