@@ -251,9 +251,8 @@ impl Infrared {
     fn irradiance(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> Option<f64> {
         /// Beyond 75° the cosine, and with it the albedo, hangs on the normal's last degree.
         const MIN_COSINE: f64 = 0.26;
-        let incident = self.optics.light.incident(point);
-        let irradiance = normal.dot(&incident);
-        (irradiance > MIN_COSINE * incident.norm()).then_some(irradiance)
+        let light = &self.optics.light;
+        light.irradiance_above(MIN_COSINE, point, normal)
     }
 
     /// Residuals of the frame's image against the one predicted from the key view, by left increments of the pose.

@@ -280,12 +280,6 @@ impl Fusion {
         self.model.as_ref()
     }
 
-    /// The model as the camera would see it from a pose, at a quarter of the resolution.
-    pub fn seen_from(&self, world_from_camera: &Pose) -> ModelMap {
-        let volume = &self.fused.volume;
-        relocalise::seen_from(world_from_camera, &self.eye, volume, MODEL_LEVEL)
-    }
-
     /// The frames that were tracked and fused, in order of time; where memory for them is short, some of them, which stand for
     /// those beside them.
     pub fn keyframes(&self) -> &[Keyframe] {

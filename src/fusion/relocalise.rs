@@ -18,7 +18,7 @@ use super::raycast::{ModelMap, raycast_anywhere};
 use super::track::Track;
 use super::volume::TsdfVolume;
 use super::{
-    Fit, FusionParams, MODEL_LEVEL,
+    Fit, Fusion, FusionParams, MODEL_LEVEL,
     align::{Beside, align},
     gates,
 };
@@ -264,8 +264,19 @@ pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) ->
     })
 }
 
-/// The model as a pose sees it, with the pixels of a level.
-pub(super) fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {
+impl Fusion {
+    /// The model as the camera would see it from a pose, at a quarter of the resolution.
+    pub fn seen_from(&self, world_from_camera: &Pose) -> ModelMap {
+        seen_from(
+            world_from_camera,
+            &self.eye,
+            &self.fused.volume,
+            MODEL_LEVEL,
+        )
+    }
+}
+
+fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> ModelMap {
     raycast_anywhere(volume, eye.level(level), pose, eye.range)
 }
 

@@ -40,6 +40,19 @@ impl NearLight {
         normal.dot(&self.incident(point))
     }
 
+    /// The same where light comes in at a cosine above `min_cosine`; `None` elsewhere, and where the normal is none.
+    #[inline]
+    pub fn irradiance_above(
+        &self,
+        min_cosine: f64,
+        point: &Point3<f64>,
+        normal: &Vector3<f64>,
+    ) -> Option<f64> {
+        let incident = self.incident(point);
+        let irradiance = normal.dot(&incident);
+        (irradiance > min_cosine * incident.norm()).then_some(irradiance)
+    }
+
     /// Derivative of [`Self::irradiance`] by the point, per cubic metre.
     #[inline]
     pub fn irradiance_by_point(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {

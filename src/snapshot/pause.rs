@@ -10,7 +10,7 @@ use crate::fusion::{InfraredOptics, ModelMap};
 use crate::geometry::{Motion, Pose, RayGrid, between};
 use crate::shading::{NearLight, SATURATION, linearise};
 use depth_camera::Image;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 /// No hand that was to hold still goes farther in a pause; what does was not tracked.
@@ -49,9 +49,13 @@ pub fn place_on_their_ways(
 ) -> Vec<Option<f64>> {
     let flat = optics.calibration.flat_field.image(rays);
     let told = snapshots.iter().map(|snapshot| {
-        let (before, after) = snapshot.way()?;
-        let linear = snapshot.linear(optics, &flat);
-        changes(&linear, &before, &after, &optics.light, &seen_from)
+        let way = snapshot.way()?;
+        changes(
+            &snapshot.linear(optics, &flat),
+            &way,
+            &optics.light,
+            &seen_from,
+        )
     });
     let told: Vec<Option<Changes>> = told.collect();
     let mut of_all = Changes::default();
@@ -62,12 +66,12 @@ pub fn place_on_their_ways(
     }
     let n_told = told.iter().flatten().count().max(1) as f64;
     let shares = snapshots.iter_mut().zip(told).map(|(snapshot, own)| {
-        let mut together = own?;
+        let (way, mut together) = snapshot.way().zip(own)?;
         for (change, of_all) in together.iter_mut().zip(of_all) {
             *change += HABIT * of_all / n_told;
         }
         let share = share_of_least(&together)?;
-        snapshot.place(share, rays)?;
+        snapshot.place(&way, share, rays);
         Some(share)
     });
     shares.collect()
@@ -88,9 +92,8 @@ impl ShadingSnapshot {
     }
 
     /// Puts it at a share of its way.
-    fn place(&mut self, share: f64, rays: &RayGrid) -> Option<()> {
-        let (before, after) = self.way()?;
-        let here = between(&before, &after, share);
+    fn place(&mut self, (before, after): &(Pose, Pose), share: f64, rays: &RayGrid) {
+        let here = between(before, after, share);
         let here_from_before = here.inverse() * before;
         self.depth_m = seen_from_elsewhere(&self.depth_m, rays, &here_from_before);
         self.moved = self.moved.map(|moved| {
@@ -98,15 +101,13 @@ impl ShadingSnapshot {
             Pose::from_parts(shift.into(), moved.rotation)
         });
         self.world_from_camera = here;
-        Some(())
     }
 }
 
 /// How light and surface agree on the way from a pose to another; `None` where too little shows both.
 fn changes(
     linear: &Image<f32>,
-    before: &Pose,
-    after: &Pose,
+    (before, after): &(Pose, Pose),
     light: &NearLight,
     seen_from: &(impl Fn(&Pose) -> ModelMap + Sync),
 ) -> Option<Changes> {
@@ -154,9 +155,12 @@ fn change(
 ) -> Option<f64> {
     let camera_from_world = world_from_camera.inverse();
     let surface = model.points.data().iter().zip(model.normals.data());
+    // NaN where no surface is seen, or it is lit too slantingly.
     let predicted = surface.map(|(point, normal)| {
         let point = camera_from_world * Point3::from(point.cast::<f64>());
-        predicted(&point, &(camera_from_world * normal.cast::<f64>()), light)
+        let normal = camera_from_world * normal.cast::<f64>();
+        let irradiance = light.irradiance_above(MIN_COSINE, &point, &normal);
+        irradiance.map_or(f32::NAN, |irradiance| irradiance as f32)
     });
     let (width, height) = (model.points.width(), model.points.height());
     let predicted = Image::from_vec(width, height, predicted.collect());
@@ -180,16 +184,6 @@ fn change(
         }
     }
     (n >= MIN_PAIRS).then(|| sum / n as f64)
-}
-
-/// `(n·l)/d²` of Eq. (1) at a point (m, camera frame); NaN where no surface is seen, or it is lit too slantingly.
-fn predicted(point: &Point3<f64>, normal: &Vector3<f64>, light: &NearLight) -> f32 {
-    let incident = light.incident(point);
-    let irradiance = normal.dot(&incident);
-    match irradiance > MIN_COSINE * incident.norm() {
-        true => irradiance as f32,
-        false => f32::NAN,
-    }
 }
 
 /// The mean of an image over the cell that one of its reduced image's pixels is; `None` where a pixel has no value.
@@ -260,7 +254,7 @@ mod tests {
     use crate::shading::Calibration;
     use crate::snapshot::scenes;
     use depth_camera::Sensor;
-    use nalgebra::Vector6;
+    use nalgebra::{Vector3, Vector6};
 
     /// A roof, its ridge towards the camera, and where the ray of a pixel from a pose meets it.
     fn meet(world_from_camera: &Pose, [x, y]: [f32; 2]) -> (Point3<f64>, Vector3<f64>) {
