@@ -6,7 +6,7 @@
 //! This is where a round begins: `minimise` then moves the groups' albedos together with the surface. Within a group albedo may
 //! differ from site to site (`tint`).
 
-use super::materials::{Materials, SAME_GROUP};
+use super::materials::{Materials, SAME_GROUP, Swallowed};
 use super::observations::Observations;
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
@@ -75,6 +75,8 @@ pub struct Albedo {
     pub gloss: Vec<Gloss>,
     /// Robust standard deviation of the sites' own log albedos about their groups'.
     pub spread: f64,
+    /// What a single group was made of all the same.
+    pub swallowed: Option<Swallowed>,
 }
 
 /// Which groups are looked for.
@@ -101,8 +103,12 @@ impl Albedo {
             labels,
             n_groups,
             typical,
+            swallowed,
         } = Materials::of(sites, all_neighbours, observations, &ratios, groups)?;
-        let albedo = Self::of_labels(labels, n_groups, &ratios);
+        let albedo = Albedo {
+            swallowed,
+            ..Self::of_labels(labels, n_groups, &ratios)
+        };
         Some(match current {
             Some((before, _)) => {
                 let kept = before.kept_tints(&albedo);
@@ -158,6 +164,7 @@ impl Albedo {
             gloss: self.gloss,
             // What tints take up is spread all the same.
             spread: self.spread,
+            swallowed: self.swallowed,
             ..albedo
         }
     }
@@ -180,6 +187,7 @@ impl Albedo {
             gloss: vec![Gloss::default(); n_groups],
             groups,
             spread: median_absolute_deviation(&mut offsets),
+            swallowed: None,
         }
     }
 

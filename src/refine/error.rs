@@ -2,6 +2,7 @@
 
 use super::MAX_VIEWS;
 use super::held_out::HeldOut;
+use super::materials::Swallowed;
 
 /// Above this share of the mean intensity the light model does not explain the images: 0.02 to 0.19 where the calibration
 /// fits, 0.71 on a recording with a foreign calibration and textured albedo.
@@ -61,6 +62,13 @@ pub enum RefineError {
         /// Root mean square of observed less rendered intensity, share of the mean.
         rmse: f64,
     },
+    /// Several materials were given one label.
+    #[error(
+        "one label was given to materials of which one is {:.1} times as bright as another, the rarer on {:.0} % of the surface, and their \
+         borders would come out as relief: refine.max_albedos has to be above 1 and refine.albedo.mode \"mixture\"; the base mesh stands",
+        .0.contrast, 100.0 * .0.rarer_share
+    )]
+    OneLabel(Swallowed),
     /// Brightness changes over the images as the light model does not know it.
     #[error(
         "the images contradict the calibration, brightness differs slowly by {:.1} % from what the light would give (at most \

@@ -413,6 +413,36 @@ fn one_of_two_materials_is_glossy() {
 }
 
 #[test]
+fn one_label_for_two_materials_leaves_the_base() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0025);
+    let of_at_most = |max_albedos: usize, darker: f64| {
+        let params = RefineParams {
+            max_albedos,
+            ..coarse()
+        };
+        refine_lit(&base, &params, &optics, |_, snapshot| {
+            RippledPlane::paint(snapshot, &optics, |x, _| if x > 0.0 { 1.0 } else { darker });
+        })
+    };
+    let Err(error) = of_at_most(1, 0.5) else {
+        panic!("delivered");
+    };
+    let RefineError::OneLabel(told) = error else {
+        panic!("{error}");
+    };
+    assert!((told.contrast - 2.0).abs() < 0.1, "{told:?}");
+    assert!((told.rarer_share - 0.5).abs() < 0.05, "{told:?}");
+    let text = error.to_string();
+    assert!(text.contains("refine.max_albedos"), "{text}");
+    let both = of_at_most(2, 0.5).expect("they are told apart");
+    assert_eq!(both.materials.len(), 2);
+    let one = of_at_most(1, 1.0).expect("there is one");
+    assert_eq!(one.materials.len(), 1);
+}
+
+#[test]
 fn images_that_lie_elsewhere_than_depth_disagree_with_the_light() {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);

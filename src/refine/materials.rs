@@ -19,6 +19,17 @@ pub struct Materials {
     pub n_groups: usize,
     /// Median of the groups' sites' own albedos, which paint too fine for a group of its own does not move; of a mixture alone.
     pub typical: Option<Vec<f64>>,
+    /// What a single group was made of all the same.
+    pub swallowed: Option<Swallowed>,
+}
+
+/// Two materials that share the only label there is, though images tell them apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Swallowed {
+    /// How many times as bright as the darker one the brighter one is.
+    pub contrast: f64,
+    /// Share of the sites that the rarer one has.
+    pub rarer_share: f64,
 }
 
 /// Standard deviation of a site's own log albedo that its noisy normal makes, at least.
@@ -36,10 +47,31 @@ impl Materials {
         ratios: &[Ratio],
         groups: Groups,
     ) -> Option<Materials> {
-        match groups.mode {
-            AlbedoMode::Mixture => of_mixture(sites, pairs, observations, ratios, groups.at_most),
+        let of_mixture = |at_most| of_mixture(sites, pairs, observations, ratios, at_most);
+        let mut materials = match groups.mode {
+            AlbedoMode::Mixture => of_mixture(groups.at_most),
             AlbedoMode::Paper => of_clusters(sites, pairs, ratios, groups.at_most),
+        }?;
+        // A mixture that may be of more and is of one tells no second one.
+        if materials.n_groups == 1 && (groups.mode == AlbedoMode::Paper || groups.at_most == 1) {
+            materials.swallowed = of_mixture(2).as_ref().and_then(Swallowed::of);
         }
+        Some(materials)
+    }
+}
+
+impl Swallowed {
+    /// What would be lost of two materials if they had one label; `None` of any other number.
+    fn of(materials: &Materials) -> Option<Swallowed> {
+        let &[darker, brighter] = materials.typical.as_deref()? else {
+            return None;
+        };
+        let n_brighter = materials.labels.iter().filter(|&&label| label == 1).count();
+        let share = n_brighter as f64 / materials.labels.len() as f64;
+        Some(Swallowed {
+            contrast: brighter / darker,
+            rarer_share: share.min(1.0 - share),
+        })
     }
 }
 
@@ -84,6 +116,7 @@ fn of_mixture(
             labels,
             n_groups,
             typical: Some(typical.into_iter().map(f64::exp).collect()),
+            swallowed: None,
         });
     }
 }
@@ -112,6 +145,7 @@ fn of_clusters(
         labels,
         n_groups,
         typical: None,
+        swallowed: None,
     })
 }
 

@@ -73,6 +73,7 @@ pub use energy::{GroupTerms, NormalMatrix};
 pub use error::RefineError;
 pub use evidence::{Evidence, EvidenceSummary};
 pub use held_out::{HeldOut, ImageError, JudgedView, Judgement};
+pub use materials::Swallowed;
 pub use numeric::JacobianMode;
 pub use object::{Roi, select_object, select_roi};
 pub use optics::Optics;
@@ -193,6 +194,9 @@ pub fn refine(
     };
     let first = 0..params.n_rounds;
     let mut status = prepared.run(first, learning, &mut state, &mut accepted);
+    if let Some(swallowed) = state.albedo.swallowed {
+        return Err(RefineError::OneLabel(swallowed));
+    }
     let judgement = Judgement::of(&prepared.judge(base, &mut state, learning, held_out));
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));
