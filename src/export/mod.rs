@@ -62,7 +62,7 @@ pub use ply_reader::read_ply;
 pub use png::{encode_png_grey8, encode_png_grey16, encode_png_rgb, encode_png_rgba};
 pub use report::{
     AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, LostSpan, REPORT_SCHEMA,
-    RefinedMesh, RefinedView, Remeshing, Report, StageTiming, SurfaceDistance, Tracking,
+    RefinedMesh, RefinedView, Remeshing, Report, StageTiming, SurfaceDistance, ToldLight, Tracking,
     write_report_json,
 };
 pub use report_html::{ReportPictures, SurfaceField, write_report_html};

@@ -147,12 +147,29 @@ pub struct RefinedMesh {
     /// How much patches of the base surface disagree with what the light makes of them, in standard deviations: 1 on most scans; 0 where they
     /// were not asked.
     pub misfit: f64,
+    /// What the images say of response and light, where that is not what the calibration says: the mesh is refined by it.
+    pub told: Option<ToldLight>,
     /// What images that refinement did not use say of both meshes.
     pub held_out: HeldOut,
     /// What the images say of the vertices.
     pub evidence: Evidence,
     /// The shading images.
     pub views: Vec<RefinedView>,
+}
+
+/// Response and light as the images have them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ToldLight {
+    /// Exponent of the response.
+    pub gamma: f64,
+    /// That of the calibration.
+    pub believed_gamma: f64,
+    /// The light's place in the IR camera's frame, metres.
+    pub light_position_m: [f64; 3],
+    /// How far that is, across the optical axis, from where it was believed, metres.
+    pub light_moved_m: f64,
+    /// Exponent of the emission's cosine about the optical axis.
+    pub lobe_power: f64,
 }
 
 /// How far the remeshed surface, not displaced yet, and the part of the base mesh that is refined lie apart. Of more than 20 000 points
@@ -248,6 +265,8 @@ pub struct RefinedView {
     pub time_secs: f64,
     /// Brightness of the view against the common model.
     pub gain: f64,
+    /// Its pose as refined by the images, world from camera: translation in metres, then the quaternion x, y, z, w.
+    pub world_from_camera: [f64; 7],
     /// Shift of the image found by alignment, pixels (u, v).
     pub shift_px: [f64; 2],
     /// Difference of rendered and observed IR on the base mesh, root mean square, share of the mean observed

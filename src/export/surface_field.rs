@@ -26,14 +26,28 @@ impl<'a> SeenSurface<'a> {
     /// # Panics
     /// If there are fewer values than vertices.
     pub fn draw(&self, values: &[f64]) -> Image<f32> {
-        let faces = &self.mesh.faces;
-        self.faces.map(|&face| match faces.get(face as usize) {
-            Some(corners) => {
-                let sum: f64 = corners.iter().map(|&vertex| values[vertex as usize]).sum();
-                (sum / 3.0) as f32
-            }
-            None => f32::NAN,
+        self.draw_faces(|corners| {
+            let sum: f64 = corners.map(|vertex| values[vertex as usize]).iter().sum();
+            (sum / 3.0) as f32
         })
+    }
+
+    /// Draws one label a vertex: of each pixel that of most corners of the face seen there, the first of three, NaN where there is none.
+    ///
+    /// # Panics
+    /// If there are fewer labels than vertices.
+    pub fn draw_labels(&self, labels: &[u8]) -> Image<f32> {
+        self.draw_faces(|corners| {
+            let [a, b, c] = corners.map(|vertex| labels[vertex as usize]);
+            f32::from(if b == c { b } else { a })
+        })
+    }
+
+    /// Draws what each face has by its corners.
+    fn draw_faces(&self, of_corners: impl Fn([u32; 3]) -> f32) -> Image<f32> {
+        let faces = &self.mesh.faces;
+        let of_face = |&face: &u32| faces.get(face as usize).map(|&corners| of_corners(corners));
+        self.faces.map(|face| of_face(face).unwrap_or(f32::NAN))
     }
 }
 
@@ -41,6 +55,7 @@ impl<'a> SeenSurface<'a> {
 mod tests {
     use super::super::{MeanView, PictureSize, tests::bumpy_sphere, three_views};
     use super::*;
+    use nalgebra::Point3;
 
     #[test]
     fn a_field_has_its_numbers_on_the_surface_alone() {
@@ -55,5 +70,26 @@ mod tests {
         assert!(field.at(0, 0).is_nan());
         // The upper half is above the lower one.
         assert!(*field.at(20, 8) > 0.03 && *field.at(20, 22) < -0.03);
+    }
+
+    #[test]
+    fn a_pixel_has_the_label_of_most_corners() {
+        let corner = |x, y| Point3::new(x, y, 0.0);
+        let mesh = TriMesh {
+            vertices: vec![corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0)],
+            faces: vec![[0, 1, 2]],
+        };
+        let seen = SeenSurface {
+            mesh: &mesh,
+            faces: Image::from_vec(2, 1, vec![0, u32::MAX]),
+        };
+        let drawn = |labels: [u8; 3]| {
+            let field = seen.draw_labels(&labels);
+            assert!(field.at(1, 0).is_nan());
+            *field.at(0, 0)
+        };
+        assert_eq!(drawn([0, 3, 3]), 3.0);
+        assert_eq!(drawn([3, 0, 3]), 3.0);
+        assert_eq!(drawn([1, 2, 3]), 1.0);
     }
 }

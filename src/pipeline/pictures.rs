@@ -108,7 +108,24 @@ fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
         range: [0.0, high],
         factor,
     };
-    fields.into_par_iter().map(draw).collect()
+    let mut drawn: Vec<SurfaceField> = fields.into_par_iter().map(draw).collect();
+    let n_labels = refinement.materials.len();
+    if n_labels > 1 {
+        drawn.insert(1, labels(seen.draw_labels(&refinement.labels), n_labels));
+    }
+    drawn
+}
+
+/// Which material the surface was given to, where there are several.
+fn labels(values: Image<f32>, n_labels: usize) -> SurfaceField {
+    SurfaceField {
+        title: "Label",
+        caption: "Which of the albedos above the surface was given to, from dark to bright."
+            .to_owned(),
+        values,
+        range: [0.0, (n_labels - 1) as f64],
+        factor: 1.0,
+    }
 }
 
 fn thumbnail(snapshot: &ShadingSnapshot) -> (String, Image<u8>) {

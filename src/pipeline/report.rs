@@ -12,12 +12,14 @@ use crate::{
     capture::CaptureSummary,
     export::{
         AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView,
-        Remeshing, Report, SurfaceDistance, Tracking,
+        Remeshing, Report, SurfaceDistance, ToldLight, Tracking,
     },
+    geometry::Pose,
     refine::{
-        Judgement, MAX_MISFIT, Material, RefineStatus, Refinement,
+        Contradiction, Judgement, MAX_MISFIT, Material, RefineStatus, Refinement,
         remesh::{Distances, RemeshDistance},
     },
+    shading::Calibration,
     snapshot::ShadingSnapshot,
 };
 use depth_camera::CameraInfo;
@@ -140,7 +142,7 @@ fn unjudged(refinement: &Refinement) -> Option<String> {
 fn contradicted(refinement: &Refinement) -> Option<String> {
     let told = refinement.contradiction.as_ref()?;
     Some(format!(
-        "{told}; refined.ply is made by what they tell; measure the device with `relief calibrate`"
+        "{told}; refined.ply is made by what they tell (report.json has it as `told`); measure the device with `relief calibrate`"
     ))
 }
 
@@ -243,6 +245,7 @@ fn refined_mesh(
             frame_id: snapshot.frame_id,
             time_secs: snapshot.device_time_secs,
             gain: view.gain,
+            world_from_camera: translation_and_quaternion(&view.world_from_camera),
             shift_px: view.shift_px,
             rmse_before: view.rmse_before,
             rmse_after: view.rmse_after,
@@ -284,9 +287,27 @@ fn refined_mesh(
         rmse_before: refinement.rmse_before,
         rmse_after: refinement.rmse_after,
         misfit: refinement.misfit,
+        told: refinement.contradiction.as_ref().map(told_light),
         held_out: held_out(&refinement.judgement),
         evidence: evidence(refinement),
         views,
+    }
+}
+
+fn translation_and_quaternion(pose: &Pose) -> [f64; 7] {
+    let (t, q) = (&pose.translation.vector, &pose.rotation.coords);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
+fn told_light(told: &Contradiction) -> ToldLight {
+    let Calibration { gamma, light, .. } = &told.calibration;
+    ToldLight {
+        gamma: *gamma,
+        believed_gamma: told.believed_gamma,
+        // What images tell of a light has a place.
+        light_position_m: light.position_m.unwrap_or([f64::NAN; 3]),
+        light_moved_m: told.light_moved_m,
+        lobe_power: light.lobe_power,
     }
 }
 

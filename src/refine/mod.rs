@@ -87,7 +87,7 @@ pub use solver::{Iteration, RefineStatus};
 pub use subject::Subject;
 pub use view::{HIDING_CELL_M, ImageTrust};
 
-use crate::geometry::TriMesh;
+use crate::geometry::{Pose, TriMesh};
 use depth_camera::Image;
 use error::MAX_BELIEVABLE_RMSE;
 use held_out::{every, hold_out};
@@ -95,7 +95,6 @@ use nalgebra::Point3;
 use preparation::{Preparation, first_views};
 use remesh::RemeshDistance;
 use rounds::State;
-use serde::Serialize;
 use sites::{ViewError, ViewSet};
 use view::View;
 
@@ -103,10 +102,12 @@ use view::View;
 pub const MAX_VIEWS: usize = ViewSet::BITS as usize;
 
 /// What a view ended as.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewFit {
     /// Brightness against the other views.
     pub gain: f64,
+    /// Its pose as the images have it.
+    pub world_from_camera: Pose,
     /// How far the images moved the object's centre on this view, pixels.
     pub shift_px: [f64; 2],
     /// Sites that the view saw.
@@ -325,6 +326,7 @@ fn view_fits(
     let errors = before.iter().zip(after);
     let fit = |(view, (before, after)): (&View, (&ViewError, &ViewError))| ViewFit {
         gain: view.gain,
+        world_from_camera: view.camera_from_world.inverse(),
         shift_px: shift_px(view, centre),
         n_sites: after.n_sites,
         rmse_before: before.rmse,
