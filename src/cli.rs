@@ -14,6 +14,7 @@ pub mod record;
 pub mod run;
 pub mod session;
 pub mod stdout;
+pub mod stopping;
 pub mod summary;
 pub mod values;
 
@@ -205,7 +206,7 @@ impl ReplayArgs {
 }
 
 /// A scan in an output folder, and how it is read.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct RecordedScanArgs {
     /// Output folder of `relief replay`: base.ply (scene.ply where there is one), trajectory.txt and
     /// snapshots are read
@@ -354,7 +355,7 @@ impl BenchArgs {
 }
 
 /// `relief evaluate`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct EvaluateArgs {
     /// The scan, and what is to be known of it
     #[command(flatten)]

@@ -10,6 +10,7 @@ mod targets;
 use super::{
     run::{self, Verdict},
     stdout::Stdout,
+    stopping::{Stopped, check_wanted},
     values::numbers,
 };
 use anyhow::{Context, ensure};
@@ -30,7 +31,7 @@ use std::{
     path::{Path, PathBuf},
     slice,
     str::FromStr,
-    sync::atomic::{AtomicBool, Ordering},
+    sync::atomic::AtomicBool,
 };
 use targets::Aim;
 
@@ -72,11 +73,6 @@ impl CalibrateCommand {
     }
 }
 
-/// Somebody asked to stop before anything was written.
-#[derive(Debug, thiserror::Error)]
-#[error("stopped before anything was written")]
-pub struct Stopped;
-
 /// Runs a command; a signal ends it before it writes.
 ///
 /// # Errors
@@ -96,14 +92,6 @@ fn measure(command: &CalibrateCommand, stop: &AtomicBool) -> anyhow::Result<Verd
         CalibrateCommand::Light(args) => targets::calibrate(Aim::Light, args, stop),
         CalibrateCommand::Offset(args) => offset::offset(args, stop),
         CalibrateCommand::Depth(args) => depth::depth(args, stop),
-    }
-}
-
-/// Looks whether somebody has asked to stop.
-fn check_wanted(stop: &AtomicBool) -> Result<(), Stopped> {
-    match stop.load(Ordering::Relaxed) {
-        true => Err(Stopped),
-        false => Ok(()),
     }
 }
 
@@ -299,6 +287,7 @@ impl FromStr for PlaceArg {
 mod tests {
     use super::*;
     use simulated::SimulatedCamera;
+    use std::sync::atomic::Ordering;
 
     #[test]
     fn a_measurement_that_is_told_to_stop_is_interrupted() {

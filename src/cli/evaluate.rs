@@ -3,7 +3,8 @@
 //! Views are left out in folds; each is rendered from the base and from the refined surface and compared with what the sensor
 //! saw. With `--ablations` the same is done with something changed (`ablations`), all judged by the same views. With `--truth` both
 //! surfaces are compared with a mesh measured by something better, which nothing else is given. The report is Markdown with pictures
-//! beside it. A wrong truth ends it before the long work; what else comes to nothing stands in the report with its reason.
+//! beside it. A wrong truth ends it before the long work; what else comes to nothing stands in the report with its reason. A signal ends it
+//! after the refinement that it is at, and nothing is written.
 
 mod ablations;
 
@@ -11,10 +12,12 @@ use super::{
     EvaluateArgs,
     run::{self, FoundScan, Verdict},
     stdout::Stdout,
+    stopping::check_wanted,
 };
 use anyhow::{Context, ensure};
 use depth_camera::CameraInfo;
 use relief::{
+    control,
     evaluate::{Cameras, SurfaceError, SurfaceErrorFailure, Truth, surface_error},
     export::{
         AgainstTruth, EvaluationPictures, EvaluationReport, LeftOutView, MeanView, PhongParams,
@@ -29,10 +32,19 @@ use relief::{
     shading::Calibration,
     snapshot::ShadingSnapshot,
 };
-use std::{io::Write, path::Path};
+use std::{io::Write, path::Path, sync::atomic::AtomicBool};
 
-/// `relief evaluate`.
+/// `relief evaluate`; a signal ends it before it writes.
+///
+/// # Errors
+/// For a scan that cannot be read or refined from, a truth that cannot be compared, and a folder that cannot be written;
+/// [`Stopped`](super::stopping::Stopped).
 pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
+    let args = args.clone();
+    control::until_stopped(move |stop| evaluate_unless(stop, &args))?
+}
+
+fn evaluate_unless(stop: &AtomicBool, args: &EvaluateArgs) -> anyhow::Result<Verdict> {
     let FoundScan {
         config,
         recorded,
@@ -49,8 +61,9 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<Verdict> {
     let truth = truth.transpose()?;
     // What cannot be read or compared leaves no folder behind.
     let out = OutputFolder::claim(&args.out)?;
+    let (calibration, params) = (&found.calibration, &config.refine);
     let report =
-        pool.install(|| scan.evaluate(args, truth.as_ref(), &found.calibration, &config.refine))?;
+        pool.install(|| scan.evaluate(args, truth.as_ref(), (calibration, params), stop))?;
     write_evaluation(out.path(), &report)?;
     match args.json {
         true => writeln!(Stdout, "{}", serde_json::to_string(&report)?)?,
@@ -120,8 +133,8 @@ impl Scan {
         &self,
         args: &EvaluateArgs,
         truth: Option<&ComparedTruth>,
-        calibration: &Calibration,
-        params: &RefineParams,
+        (calibration, params): (&Calibration, &RefineParams),
+        stop: &AtomicBool,
     ) -> anyhow::Result<EvaluationReport> {
         let rays = RayGrid::new(CameraModel::new(self.info.intrinsics));
         let optics = self.optics(&rays, calibration)?;
@@ -129,18 +142,22 @@ impl Scan {
         let against = |mesh: &TriMesh| {
             truth.map(|truth| self.against(&truth.truth, truth.truth_from_world, mesh))
         };
-        let refined = refine(&subject, params, |_| true).map(|refined| refined.mesh);
+        let goes_on = || check_wanted(stop).is_ok();
+        let refined = refine(&subject, params, |_| goes_on()).map(|refined| refined.mesh);
         let refined_mesh = refined.as_ref().ok();
         let refined_truth = refined_mesh.and_then(against).transpose()?;
         let n_folds = args.folds.min(self.snapshots.len());
-        let (judged, not_judged_reason) = match judged_in_folds(&subject, params, n_folds) {
+        check_wanted(stop)?;
+        let (judged, not_judged_reason) = match judged_in_folds(&subject, params, n_folds, &goes_on)
+        {
             Ok(judged) => (judged, None),
             Err(error) => (Vec::new(), Some(error.to_string())),
         };
         let ablations = match args.ablations {
-            true => ablations::judged(self, &rays, calibration, params),
+            true => ablations::judged(self, &rays, calibration, params, stop)?,
             false => Vec::new(),
         };
+        check_wanted(stop)?;
         Ok(EvaluationReport {
             session: self.session.clone(),
             truth: truth.map(|truth| AgainstTruth {
@@ -239,15 +256,16 @@ impl Scan {
     }
 }
 
-/// Every view, judged by a refinement from the other folds; none without folds.
+/// Every view, judged by a refinement from the other folds; none without folds, and not all if `goes_on` says no after one.
 fn judged_in_folds(
     subject: &Subject,
     params: &RefineParams,
     n_folds: usize,
+    goes_on: &impl Fn() -> bool,
 ) -> Result<Vec<JudgedView>, RefineError> {
     let folded = |fold| {
         tracing::info!(fold = fold + 1, of = n_folds, "fold judged");
-        true
+        goes_on()
     };
     match n_folds {
         0 => Ok(Vec::new()),
@@ -348,8 +366,9 @@ mod tests {
     #[test]
     fn what_comes_to_nothing_stands_in_the_report() {
         let calibration = Calibration::shipped(Sensor::Kinect2).unwrap();
-        let report = scan().evaluate(&arguments(), None, &calibration, &RefineParams::default());
-        let report = report.unwrap();
+        let with = (&calibration, &RefineParams::default());
+        let stop = AtomicBool::new(false);
+        let report = scan().evaluate(&arguments(), None, with, &stop).unwrap();
         let n_views = MAX_VIEWS + 1;
         let reason = RefineError::TooManyViews { n_views }.to_string();
         assert_eq!(report.not_judged_reason.as_ref(), Some(&reason));

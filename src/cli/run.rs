@@ -1,8 +1,8 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
 use super::{
-    DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, calibrate, daemon,
-    stdout::Stdout, summary,
+    DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, stdout::Stdout,
+    stopping::Stopped, summary,
 };
 use anyhow::{Context, bail};
 use depth_camera::{CameraInfo, DepthCamera, Frame, Sensor};
@@ -58,7 +58,7 @@ impl Verdict {
         match error.downcast_ref::<DaemonError>() {
             Some(error) => daemon::verdict_of(error),
             None if error.is::<ConfigError>() => Verdict::BadUsage,
-            None if error.is::<calibrate::Stopped>() => Verdict::Interrupted,
+            None if error.is::<Stopped>() => Verdict::Interrupted,
             None if lacks_room(error) => Verdict::StorageFailed,
             None => Verdict::Failed,
         }

@@ -2,12 +2,14 @@
 
 use crate::{
     daemon_process::Daemon,
-    support::{PROGRAM, Workbench, poll, prolong, record, small_camera},
+    support::{PROGRAM, Workbench, fused_demo, poll, prolong, record, small_camera},
     worker::{child_of, send},
 };
 use serde_json::Value;
 use std::{
+    ffi::OsStr,
     fs,
+    path::Path,
     process::{Child, Command, Stdio},
 };
 
@@ -73,6 +75,22 @@ fn a_run_that_is_told_to_stop_keeps_what_it_has() {
     }
 }
 
+/// Starts a command that a hang-up ends in order, waits until it listens, and hangs up; returns its exit code.
+fn code_after_hang_up(arguments: &[&OsStr]) -> Option<i32> {
+    let mut child = Command::new("env")
+        .args(["--default-signal=HUP", PROGRAM])
+        .args(arguments)
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    poll("somebody who listens", || {
+        listens_to_hang_up(child.id()).then_some(())
+    });
+    assert!(send("-HUP", Path::new(&child.id().to_string())));
+    poll("the end", || child.try_wait().unwrap()).code()
+}
+
 /// Whether a process listens to SIGHUP, whose bit is the first, by its file of proc(5).
 fn listens_to_hang_up(pid: u32) -> bool {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
@@ -89,23 +107,23 @@ fn a_calibration_that_is_told_to_stop_ends_in_order() {
     // Of all pixels, so that it takes far longer than to be told.
     record(small_camera(1, 1), &bench.session());
     prolong(&bench.session());
-    let mut child = Command::new("env")
-        .args(["--default-signal=HUP", PROGRAM, "calibrate", "offset"])
-        .arg(bench.session())
-        .arg("--dry-run")
-        .stderr(Stdio::null())
-        .stdout(Stdio::null())
-        .spawn()
-        .unwrap();
-    let pid = child.id();
-    poll("somebody who listens", || {
-        listens_to_hang_up(pid).then_some(())
-    });
-    let pid = pid.to_string();
-    let killed = Command::new("kill").args(["-HUP", &pid]).status().unwrap();
-    assert!(killed.success());
-    let status = poll("the end", || child.try_wait().unwrap());
-    assert_eq!(status.code(), Some(130));
+    let session = bench.session();
+    let arguments = ["calibrate", "offset", "--dry-run"].map(OsStr::new);
+    let code = code_after_hang_up(&[&arguments[..], &[session.as_os_str()]].concat());
+    assert_eq!(code, Some(130));
+}
+
+#[test]
+fn an_evaluation_that_is_told_to_stop_writes_nothing() {
+    let bench = Workbench::empty();
+    let (scan, out) = (bench.path("scan"), bench.path("evaluation"));
+    fused_demo(&scan);
+    let arguments = ["evaluate", "--ablations", "--out"].map(OsStr::new);
+    let paths = [out.as_os_str(), scan.as_os_str()];
+    let code = code_after_hang_up(&[&arguments[..], &paths].concat());
+    assert_eq!(code, Some(130));
+    let written = fs::read_dir(&out).map_or(0, Iterator::count);
+    assert_eq!(written, 0);
 }
 
 #[test]

@@ -1,11 +1,10 @@
 //! `relief calibrate depth`: how bright white is, which tells how strong multipath is, and what depth gets wrong by range alone.
 
-use super::{
-    DepthArgs, check_beforehand, check_wanted, conclude, measured_session, merge, next_frame, open,
-};
+use super::{DepthArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
 use crate::cli::{
     run::{Verdict, all_processors, calibration_folder, session_name},
     stdout::Stdout,
+    stopping::check_wanted,
 };
 use anyhow::ensure;
 use depth_camera::Sensor;

@@ -1,11 +1,10 @@
 //! `relief calibrate offset`: where the IR image lies against the depth image.
 
-use super::{
-    OffsetArgs, check_beforehand, check_wanted, conclude, measured_session, merge, next_frame, open,
-};
+use super::{OffsetArgs, check_beforehand, conclude, measured_session, merge, next_frame, open};
 use crate::cli::{
     run::{Verdict, calibration_folder, session_name},
     stdout::Stdout,
+    stopping::check_wanted,
 };
 use anyhow::{Context, ensure};
 use depth_camera::{DepthCamera, Sensor};

@@ -2,7 +2,7 @@
 //! write what the command is for into the device's file.
 
 use super::{
-    TargetArgs, check_beforehand, check_wanted,
+    TargetArgs, check_beforehand,
     findings::Findings,
     measured_session, merge, next_frame, of_fitting, open,
     page::write_page,
@@ -10,6 +10,7 @@ use super::{
 };
 use crate::cli::{
     run::{Verdict, calibration_folder, require_folder, session_name},
+    stopping::check_wanted,
     summary::with_causes,
 };
 use anyhow::{Context, bail, ensure};

@@ -1,7 +1,13 @@
 //! `relief evaluate --ablations`: the same with something changed, judged by every fourth view and made from the rest. One that comes
 //! to nothing, as where its views do not show the object, leaves the others their figures.
 
-use super::{super::processor_time::process_cpu_secs, Scan, figures};
+use super::{
+    super::{
+        processor_time::process_cpu_secs,
+        stopping::{Stopped, check_wanted},
+    },
+    Scan, figures,
+};
 use relief::{
     export::{Ablation, AblationOutcome},
     geometry::RayGrid,
@@ -11,6 +17,7 @@ use relief::{
     },
     shading::Calibration,
 };
+use std::sync::atomic::AtomicBool;
 
 /// What one variation is made with.
 struct Variation {
@@ -21,24 +28,26 @@ struct Variation {
     learning: Vec<usize>,
 }
 
-/// Every variation.
+/// Every variation, unless somebody asks to stop.
 pub fn judged(
     scan: &Scan,
     rays: &RayGrid,
     calibration: &Calibration,
     params: &RefineParams,
-) -> Vec<Ablation> {
+    stop: &AtomicBool,
+) -> Result<Vec<Ablation>, Stopped> {
     let n_views = scan.snapshots.len();
     let judges: Vec<usize> = (1..n_views).step_by(4).collect();
     let rest: Vec<usize> = (0..n_views).filter(|view| !judges.contains(view)).collect();
     let ablation = |variation: Variation| {
+        check_wanted(stop)?;
         let outcome = judge(scan, rays, &variation, &judges);
-        Ablation {
+        Ok(Ablation {
             what: variation.what,
             outcome: outcome.unwrap_or_else(|error| AblationOutcome::Failed {
                 not_judged_reason: format!("{error:#}"),
             }),
-        }
+        })
     };
     let variations = variations(calibration, params, &rest);
     variations.into_iter().map(ablation).collect()
