@@ -11,11 +11,14 @@ use std::time::Duration;
 
 /// Frames from which the model is made, and from which seen places are drawn.
 const N_SEEN: usize = 60;
-/// Frames that the camera has to find back.
+/// Frames that the camera has to find back, and those after which it must still be there.
 const N_TRIED: usize = 3;
+const N_WATCHED: usize = 15;
 /// A lock farther than this from the true pose is false; drift stays below 15 mm and 1.5°.
 const FALSE_M: f64 = 0.04;
 const FALSE_RAD: f64 = 0.06;
+/// ... on the real desk, where frames that show hardly more than a floor lie up to 7 cm aside, one way or the other, however they are tracked.
+const FALSE_OVER_DESK_M: f64 = 0.14;
 
 /// A recorded session's folder, `None` if it is not there.
 pub(crate) fn session(name: &str) -> Option<PathBuf> {
@@ -37,6 +40,32 @@ struct Recording {
     truth: Vec<Pose>,
     camera: CameraModel,
     sensor: Sensor,
+    /// Time from frame to frame, seconds.
+    step_secs: f64,
+}
+
+impl Recording {
+    fn time_secs(&self, index: usize) -> f64 {
+        index as f64 * self.step_secs
+    }
+
+    /// The frames of even numbers, and those between them.
+    fn halves(self) -> [Recording; 2] {
+        let (mut depths, mut truth) = ([Vec::new(), Vec::new()], [Vec::new(), Vec::new()]);
+        for (index, (depth, pose)) in self.depths.into_iter().zip(self.truth).enumerate() {
+            depths[index % 2].push(depth);
+            truth[index % 2].push(pose);
+        }
+        let [even, odd] = depths;
+        let [even_truth, odd_truth] = truth;
+        [(even, even_truth), (odd, odd_truth)].map(|(depths, truth)| Recording {
+            depths,
+            truth,
+            camera: self.camera,
+            sensor: self.sensor,
+            step_secs: 2.0 * self.step_secs,
+        })
+    }
 }
 
 fn recording(folder: &Path, n_frames: usize) -> Recording {
@@ -73,6 +102,7 @@ fn recording(folder: &Path, n_frames: usize) -> Recording {
         truth,
         camera,
         sensor,
+        step_secs: 1.0 / 30.0,
     }
 }
 
@@ -95,11 +125,12 @@ fn true_poses(folder: &Path) -> Vec<(f64, Pose)> {
 
 /// The model of the first frames, with voxels of 4 mm.
 fn model(recording: &Recording) -> Fusion {
-    tracked_model(recording, FusionParams::default().depth_max_m).0
+    tracked_model(recording, N_SEEN, FusionParams::default().depth_max_m).0
 }
 
-/// The model of the first frames, with voxels of 4 mm and depth to `depth_max_m`, and the poses that they were tracked at.
-fn tracked_model(recording: &Recording, depth_max_m: f64) -> (Fusion, Vec<Pose>) {
+/// The model of the first frames, with voxels of 4 mm and depth to `depth_max_m`, and the poses that they were tracked at, the one
+/// before where a frame was lost.
+fn tracked_model(recording: &Recording, n_frames: usize, depth_max_m: f64) -> (Fusion, Vec<Pose>) {
     let params = FusionParams {
         voxel_size_m: 0.004,
         depth_max_m,
@@ -107,21 +138,21 @@ fn tracked_model(recording: &Recording, depth_max_m: f64) -> (Fusion, Vec<Pose>)
     };
     let noise = DepthNoise::of_sensor(recording.sensor);
     let mut fusion = Fusion::new(recording.camera, noise, params);
-    let poses = recording.depths.iter().take(N_SEEN).enumerate();
-    let poses = poses.map(
-        |(index, depth)| match fusion.fuse(depth, time_secs(index)) {
-            TrackingOutcome::Tracked {
-                world_from_camera, ..
-            } => world_from_camera,
-            other => panic!("frame {index}: {other:?}"),
-        },
-    );
-    let poses = poses.collect();
+    let mut pose = Pose::identity();
+    let depths = recording.depths.iter().take(n_frames).enumerate();
+    let poses = depths.map(|(index, depth)| {
+        let outcome = fusion.fuse(depth, recording.time_secs(index));
+        if let TrackingOutcome::Tracked {
+            world_from_camera, ..
+        } = outcome
+        {
+            pose = world_from_camera;
+        }
+        pose
+    });
+    let poses: Vec<Pose> = poses.collect();
+    assert!(fusion.n_fused() + 3 > poses.len(), "{}", fusion.n_fused());
     (fusion, poses)
-}
-
-fn time_secs(index: usize) -> f64 {
-    index as f64 / 30.0
 }
 
 /// What became of a kidnapping.
@@ -129,37 +160,77 @@ fn time_secs(index: usize) -> f64 {
 enum Ending {
     Found,
     Lost,
+    /// Among the frames that it has to find back by.
     FalseLock,
+    /// Found, and led away by later frames.
+    Astray,
 }
 
-/// Blackout, then frames from elsewhere; `truth` is `None` where every lock is false.
-fn kidnap(model: &Fusion, frames: &[Image<f32>], truth: Option<&[Pose]>) -> Ending {
+/// Where frames show another place than one that was seen: their true poses, and how far from them a lock may be, metres.
+type Home<'a> = (&'a [Pose], f64);
+
+/// Blackout, then frames of a recording from a start on; `home` is `None` where every lock is false.
+fn kidnap(model: &Fusion, to: &Recording, start: usize, home: Option<Home>) -> Ending {
     let mut fusion = model.clone();
-    let camera = frames[0].map(|_| 0.0);
+    let since_secs = fusion.track.time_secs + to.step_secs;
+    let dark = to.depths[0].map(|_| 0.0);
     for blackout in 0..2 {
-        let outcome = fusion.fuse(&camera, time_secs(N_SEEN + blackout));
+        let outcome = fusion.fuse(&dark, since_secs + to.time_secs(blackout));
         assert_eq!(outcome, TrackingOutcome::NoDepth);
     }
     let mut ending = Ending::Lost;
-    for (index, depth) in frames.iter().take(N_TRIED).enumerate() {
-        let outcome = fusion.fuse(depth, time_secs(N_SEEN + 2 + index));
+    let frames = to.depths[start..].iter().take(N_WATCHED).enumerate();
+    for (index, depth) in frames {
+        let outcome = fusion.fuse(depth, since_secs + to.time_secs(2 + index));
         if let TrackingOutcome::Tracked {
             world_from_camera, ..
         } = outcome
         {
-            let off = truth.map(|truth| motion_between(&truth[index], &world_from_camera));
-            if off.is_none_or(|off| off.translation_m > FALSE_M || off.rotation_rad > FALSE_RAD) {
+            let is_false = home.is_none_or(|(poses, false_m)| {
+                let off = motion_between(&poses[start + index], &world_from_camera);
+                off.translation_m > false_m || off.rotation_rad > FALSE_RAD
+            });
+            if is_false && ending == Ending::Found && index >= N_TRIED {
+                return Ending::Astray;
+            }
+            if is_false {
                 return Ending::FalseLock;
             }
-            ending = Ending::Found;
+            if index < N_TRIED {
+                ending = Ending::Found;
+            }
         }
     }
     ending
 }
 
+/// What became of several.
+#[derive(Debug, Default)]
+struct Count {
+    n_found: usize,
+    n_lost: usize,
+    n_false: usize,
+    n_astray: usize,
+}
+
+impl Count {
+    fn of(endings: impl Iterator<Item = Ending>) -> Count {
+        let mut count = Count::default();
+        for ending in endings {
+            match ending {
+                Ending::Found => count.n_found += 1,
+                Ending::Lost => count.n_lost += 1,
+                Ending::FalseLock => count.n_false += 1,
+                Ending::Astray => count.n_astray += 1,
+            }
+        }
+        count
+    }
+}
+
 /// Evenly drawn starts of `n` kidnappings within a range of frames.
 fn starts(range: std::ops::Range<usize>, n: usize) -> impl Iterator<Item = usize> {
-    (0..n).map(move |k| range.start + (k * 7919) % (range.len() - N_TRIED))
+    (0..n).map(move |k| range.start + k * (range.len() - N_TRIED) / n)
 }
 
 #[test]
@@ -170,16 +241,13 @@ fn a_kidnapped_camera_finds_back_to_seen_places_and_locks_nowhere_else() {
     let (bust, relief) = (recording(&bust, 160), recording(&relief, N_SEEN));
     for (name, seen, other) in [("bust", &bust, &relief), ("relief", &relief, &bust)] {
         let fusion = model(seen);
-        let to = |from: &Recording, start: usize, has_truth: bool| {
-            let truth = has_truth.then(|| &from.truth[start..]);
-            kidnap(&fusion, &from.depths[start..], truth)
-        };
+        let home: Home = (&seen.truth, FALSE_M);
         let seen_endings: Vec<Ending> = starts(0..N_SEEN - 10, 10)
-            .map(|start| to(seen, start, true))
+            .map(|start| kidnap(&fusion, seen, start, Some(home)))
             .collect();
         let n_found = seen_endings.iter().filter(|e| **e == Ending::Found).count();
         let elsewhere: Vec<Ending> = starts(0..N_SEEN, 6)
-            .map(|start| to(other, start, false))
+            .map(|start| kidnap(&fusion, other, start, None))
             .collect();
         println!("{name}: seen {seen_endings:?}, another scene {elsewhere:?}");
         assert_eq!(n_found, seen_endings.len());
@@ -188,7 +256,7 @@ fn a_kidnapped_camera_finds_back_to_seen_places_and_locks_nowhere_else() {
     // The far side of the bust, 90° and more from all that was seen.
     let fusion = model(&bust);
     let far: Vec<Ending> = starts(110..160, 8)
-        .map(|start| kidnap(&fusion, &bust.depths[start..], Some(&bust.truth[start..])))
+        .map(|start| kidnap(&fusion, &bust, start, Some((&bust.truth, FALSE_M))))
         .collect();
     println!("far side: {far:?}");
     assert!(!far.contains(&Ending::FalseLock));
@@ -201,28 +269,47 @@ fn a_kidnapped_kinect1_finds_back_to_seen_places_and_locks_nowhere_else() {
     };
     let (pot, desk) = (recording(&pot, 130), recording(&desk, 130));
     // The desk's measured path is not true to the millimetre: what counts is where the camera was tracked before.
-    let scenes = [("pot", &pot, &desk, 2.0), ("desk", &desk, &pot, 3.0)];
-    for (name, seen, other, depth_max_m) in scenes {
-        let (fusion, tracked) = tracked_model(seen, depth_max_m);
-        let back: Vec<Ending> = starts(0..N_SEEN - 5, 20)
-            .map(|start| kidnap(&fusion, &seen.depths[start..], Some(&tracked[start..])))
-            .collect();
-        let elsewhere: Vec<Ending> = starts(0..120, 20)
-            .map(|start| kidnap(&fusion, &other.depths[start..], None))
-            .collect();
-        let n_found = back.iter().filter(|e| **e == Ending::Found).count();
-        let n_false = |endings: &[Ending]| {
-            let is_false = |e: &&Ending| **e == Ending::FalseLock;
-            endings.iter().filter(is_false).count()
+    let scenes = [
+        ("pot", &pot, &desk, 2.0, FALSE_M),
+        ("desk", &desk, &pot, 3.0, FALSE_OVER_DESK_M),
+    ];
+    for (name, seen, other, depth_max_m, false_m) in scenes {
+        let (fusion, _) = tracked_model(seen, N_SEEN, depth_max_m);
+        let (_, tracked) = tracked_model(seen, seen.depths.len(), depth_max_m);
+        let back = starts(0..N_SEEN - 5, 20);
+        let back = back.map(|start| kidnap(&fusion, seen, start, Some((&tracked, false_m))));
+        let elsewhere = starts(0..120, 20);
+        let elsewhere = elsewhere.map(|start| kidnap(&fusion, other, start, None));
+        let back = Count::of(back);
+        let elsewhere = Count::of(elsewhere);
+        println!("{name}: seen places {back:?}; another scene {elsewhere:?}");
+        assert!(back.n_found >= 19);
+        assert_eq!(back.n_false + back.n_astray + elsewhere.n_false, 0);
+    }
+}
+
+#[test]
+fn a_kidnapped_camera_is_found_by_frames_that_were_never_fused() {
+    let scenes = [
+        ("bust-k2", 2.0, FALSE_M),
+        ("relief-k2", 2.0, FALSE_M),
+        ("pot-k1", 2.0, FALSE_M),
+        ("desk-k1-real", 3.0, FALSE_OVER_DESK_M),
+    ];
+    for (name, depth_max_m, false_m) in scenes {
+        let Some(folder) = session(name) else {
+            return;
         };
-        println!(
-            "{name}: {n_found} of {} found back, {} false; another scene: {} of {} false",
-            back.len(),
-            n_false(&back),
-            n_false(&elsewhere),
-            elsewhere.len()
-        );
-        assert!(n_found >= 19);
-        assert_eq!(n_false(&back) + n_false(&elsewhere), 0);
+        let all = recording(&folder, usize::MAX);
+        let (_, path) = tracked_model(&all, all.depths.len(), depth_max_m);
+        let [fused, others] = all.halves();
+        let (fusion, _) = tracked_model(&fused, fused.depths.len(), depth_max_m);
+        let path: Vec<Pose> = path.into_iter().skip(1).step_by(2).collect();
+        let ways = starts(0..others.depths.len() - N_WATCHED, 20);
+        let endings = ways.map(|start| kidnap(&fusion, &others, start, Some((&path, false_m))));
+        let count = Count::of(endings);
+        println!("{name}: {count:?}");
+        assert!(count.n_found >= 19, "{name}: {count:?}");
+        assert_eq!(count.n_false + count.n_astray, 0, "{name}: {count:?}");
     }
 }

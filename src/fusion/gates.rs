@@ -71,13 +71,10 @@ pub(super) fn judge_motion(
     elapsed_secs: f64,
     params: &FusionParams,
 ) -> Result<(), LossReason> {
-    let elapsed = elapsed_secs.max(LEAST_INTERVAL_SECS);
-    let is_within = |motion: &Motion, factor: f64| {
-        motion.rotation_rad <= factor * params.max_rotation_rad_per_s * elapsed
-            && motion.translation_m <= factor * params.max_speed_m_per_s * elapsed
-    };
-    if is_within(motion, 1.0) || is_within(motion, IN_FULL_SWING) && is_within(deviation, AS_BEFORE)
-    {
+    let is_within = |factor| is_within(motion, factor, elapsed_secs, params);
+    let is_in_full_swing =
+        || is_within(IN_FULL_SWING) && is_as_before(deviation, elapsed_secs, params);
+    if is_within(1.0) || is_in_full_swing() {
         Ok(())
     } else {
         Err(LossReason::Jump {
@@ -85,6 +82,18 @@ pub(super) fn judge_motion(
             translation_m: motion.translation_m,
         })
     }
+}
+
+/// Whether the camera is where its motion before leads, given how far it is from there after a time.
+pub(super) fn is_as_before(deviation: &Motion, elapsed_secs: f64, params: &FusionParams) -> bool {
+    is_within(deviation, AS_BEFORE, elapsed_secs, params)
+}
+
+/// Whether a motion in a time is within the limits times a factor.
+fn is_within(motion: &Motion, factor: f64, elapsed_secs: f64, params: &FusionParams) -> bool {
+    let elapsed = elapsed_secs.max(LEAST_INTERVAL_SECS);
+    motion.rotation_rad <= factor * params.max_rotation_rad_per_s * elapsed
+        && motion.translation_m <= factor * params.max_speed_m_per_s * elapsed
 }
 
 #[cfg(test)]

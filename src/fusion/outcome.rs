@@ -63,7 +63,7 @@ pub enum LossReason {
     },
     /// A place was found where the frame may have been taken; the next one has to confirm it.
     Unconfirmed,
-    /// After an interruption the frame does not show what the model shows from where it seems to be.
+    /// The frame does not show what the model shows from where it seems to be.
     Elsewhere,
 }
 
