@@ -155,6 +155,16 @@ impl TriMesh {
         TriMesh { vertices, faces }
     }
 
+    /// [`Self::face_components`] and their areas, m².
+    pub fn components_with_areas(&self) -> (Vec<u32>, Vec<f64>) {
+        let (labels, n_components) = self.face_components();
+        let mut area_m2 = vec![0.0; n_components];
+        for (face, &label) in labels.iter().enumerate() {
+            area_m2[label as usize] += 0.5 * self.face_normal(face).norm();
+        }
+        (labels, area_m2)
+    }
+
     /// The component of each face, faces being joined where they share a vertex; components are numbered by their first
     /// face. Also returns how many there are.
     pub fn face_components(&self) -> (Vec<u32>, usize) {

@@ -1,6 +1,6 @@
 //! Closing a mesh: every hole in every component is filled, so that each edge has two faces.
 //!
-//! The mesh is cut to a manifold first, whose border falls into simple loops. A loop of up to 200 edges gets the triangulation
+//! The mesh is cut to a manifold first, whose border falls into simple loops; splinters that come off are left out. A loop of up to 200 edges gets the triangulation
 //! of least area (Barequet and Sharir 1995), by dynamic programming. A longer one is shortened to that by a ring of triangles
 //! along it, each over two of its edges, and another ring, and so on: rings follow a ragged rim more quietly than one fan.
 //! A triangle's new edge must not be one that the mesh already has; where nothing else is left, a fan about the loop's centre
@@ -14,6 +14,9 @@ use nalgebra::{Point3, Vector3};
 
 /// Loops of more edges are shortened first: the work grows with the third power, 8 million triangles here.
 const MAX_EXACT_EDGES: usize = 200;
+
+/// Smaller parts are no things of their own, m²; arbitrary, as of what stands on a table.
+const SPLINTER_M2: f64 = 1e-4;
 
 /// A mesh without holes.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,7 +33,7 @@ pub struct Watertight {
 
 /// Fills all holes.
 pub fn close_holes(mesh: &TriMesh) -> Watertight {
-    let Manifold { mesh, from } = cut_to_manifold(mesh);
+    let Manifold { mesh, from } = without_splinters(mesh);
     let loops = border_loops(&mesh);
     let mut filling = Filling {
         edges: EdgeAdjacency::new(&mesh).edges,
@@ -54,6 +57,24 @@ pub fn close_holes(mesh: &TriMesh) -> Watertight {
         mesh,
         from,
     }
+}
+
+/// Cuts a mesh to a manifold and takes away what then hangs on nothing and is smaller than [`SPLINTER_M2`], but for the largest.
+fn without_splinters(mesh: &TriMesh) -> Manifold {
+    let cut = cut_to_manifold(mesh);
+    let (labels, area_m2) = cut.mesh.components_with_areas();
+    let largest_m2 = area_m2.iter().copied().fold(0.0, f64::max);
+    let is_kept = |label: &u32| area_m2[*label as usize] >= SPLINTER_M2.min(largest_m2);
+    if labels.iter().all(is_kept) {
+        return cut;
+    }
+    let kept = cut.mesh.faces.iter().zip(&labels);
+    let kept = kept.filter(|(_, label)| is_kept(label));
+    let of_mesh = |face: &[u32; 3]| face.map(|vertex| cut.from[vertex as usize]);
+    cut_to_manifold(&TriMesh {
+        faces: kept.map(|(face, _)| of_mesh(face)).collect(),
+        vertices: mesh.vertices.clone(),
+    })
 }
 
 /// A mesh whose holes are being filled.
@@ -261,6 +282,25 @@ mod tests {
         assert_eq!(closed.n_holes, 3);
         assert_eq!(closed.mesh.face_components().1, 2);
         assert_eq!(closed.from.len(), closed.mesh.vertices.len());
+    }
+
+    #[test]
+    fn a_splinter_that_hangs_on_a_corner_alone_is_left_out() {
+        let bowl = sphere(12, |centre| centre.z < 0.0);
+        let mut mesh = bowl.clone();
+        let first = mesh.vertices.len() as u32;
+        let corner = mesh.vertices[0];
+        mesh.vertices.push(corner + Vector3::new(0.002, 0.0, 0.0));
+        mesh.vertices.push(corner + Vector3::new(0.0, 0.002, 0.0));
+        mesh.faces.insert(0, [0, first, first + 1]);
+        let closed = close_holes(&mesh);
+        assert_closed(&closed.mesh);
+        assert_eq!((closed.n_holes, closed.mesh.face_components().1), (1, 1));
+        assert!(closed.from.iter().all(|&vertex| vertex < first));
+        assert_eq!(closed.mesh.faces, close_holes(&bowl).mesh.faces);
+        // Alone it is all there is.
+        let splinter = mesh.filter_faces(|face| face == 0);
+        assert_eq!(close_holes(&splinter).mesh.faces.len(), 2);
     }
 
     #[test]
