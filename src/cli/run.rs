@@ -21,10 +21,12 @@ use relief::{
         EVENTS_FILE, Ending, GivenPoses, Outcome, OutputFolder, OutputFolderError, Pipeline,
         PipelineParams, RecordedScan, SpawnError, WhenFull,
     },
+    shading::Calibration,
 };
 use replay::{Pacing, SessionWriter, WriteError};
 use simulated::SimulatedCamera;
 use std::{
+    fs,
     io::Write,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -167,6 +169,13 @@ impl FoundScan {
     }
 }
 
+/// What of a calibration the scan in an output folder no longer takes, if it says by which it was fused.
+fn too_late(found: &FoundCalibration, output: &Path) -> Option<String> {
+    let text = fs::read_to_string(output.join(Calibration::FILE_NAME)).ok()?;
+    let said = found.comes_too_late(&Calibration::from_toml(&text).ok()?);
+    said.inspect(|warning| tracing::warn!("{warning}"))
+}
+
 /// `relief refine`.
 pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict> {
     let limits = args.child.limits();
@@ -186,11 +195,13 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         None => recorded,
     };
     let session = session_name(&args.scan.output);
-    let params = PipelineParams {
+    let too_late = too_late(&found, &args.scan.output);
+    let mut params = PipelineParams {
         roi: args.scan.roi.map(|roi| roi.0),
         n_threads: args.scan.threads.unwrap_or_else(all_processors),
         ..control::params_of_run(session, config, found, &recorded.info)
     };
+    params.warnings.extend(too_late);
     let folder = OutputFolder::claim(&args.out)?;
     let folder = match &args.child.deliver_to {
         Some(place) => folder.named(place),

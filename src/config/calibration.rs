@@ -208,6 +208,31 @@ impl FoundCalibration {
         ))
     }
 
+    /// Says which keys of it a scan that was fused by another calibration no longer takes: infrared images were moved, and depth was
+    /// corrected, before it was fused.
+    pub fn comes_too_late(&self, as_fused: &Calibration) -> Option<String> {
+        let whole_px = |calibration: &Calibration| calibration.ir_offset_px.map(f64::round);
+        let keys = [
+            (
+                CalibrationKey::IrOffset,
+                whole_px(&self.calibration) != whole_px(as_fused),
+            ),
+            (
+                CalibrationKey::RangeError,
+                self.calibration.range_error_m != as_fused.range_error_m,
+            ),
+        ];
+        let differing = keys.iter().filter(|(_, differs)| *differs);
+        let names: Vec<&str> = differing.map(|(key, _)| key.name()).collect();
+        (!names.is_empty()).then(|| {
+            format!(
+                "{} has another {} than this scan was fused with, which is not put right by refining it: fuse its recording again",
+                self.source,
+                names.join(" and another ")
+            )
+        })
+    }
+
     /// What the operator should know before trusting it.
     pub fn warnings(&self, info: &CameraInfo) -> Vec<String> {
         let kind = info.sensor.name();

@@ -128,3 +128,21 @@ fn the_file_of_another_device_is_refused_unless_it_was_asked_for() {
     let error = bench.find(Some(&other)).unwrap_err();
     assert_eq!(error.what, "sensor is \"kinect1\", must be \"kinect2\"");
 }
+
+#[test]
+fn what_a_fused_scan_no_longer_takes_is_told() {
+    let bench = Bench::new();
+    let late = |offset: &str, gamma: f64| {
+        let text = complete(gamma);
+        let path = bench.write("given.toml", &format!("ir_offset_px = {offset}\n{text}"));
+        let found = bench.find(Some(&path)).unwrap();
+        found.comes_too_late(&Calibration::from_toml(COMPLETE).unwrap())
+    };
+    assert_eq!(late("[0.0, 0.0]", 0.7), None);
+    assert_eq!(late("[0.4, -0.3]", 0.87), None, "the same whole pixels");
+    let said = late("[5.0, 4.0]", 0.87).unwrap();
+    assert!(
+        said.contains("given.toml has another ir_offset_px than") && !said.contains("range"),
+        "{said}"
+    );
+}
