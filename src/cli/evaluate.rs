@@ -4,7 +4,7 @@
 //! saw. With `--ablations` the same is done with something changed (`ablations`), all judged by the same views. With `--truth` both
 //! surfaces are compared with a mesh measured by something better, which nothing else is given. The report is Markdown with pictures
 //! beside it. A wrong truth ends it before the long work; what else comes to nothing stands in the report with its reason. A signal ends it
-//! after the refinement that it is at, and nothing is written.
+//! after the refinement that it is at, of the first one at its next step, and nothing is written.
 
 mod ablations;
 
@@ -49,6 +49,7 @@ fn evaluate_unless(stop: &AtomicBool, args: &EvaluateArgs) -> anyhow::Result<Ver
         config,
         recorded,
         found,
+        ..
     } = FoundScan::read(&args.scan)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.scan.threads.unwrap_or_else(run::all_processors).get())
@@ -59,6 +60,7 @@ fn evaluate_unless(stop: &AtomicBool, args: &EvaluateArgs) -> anyhow::Result<Ver
     // Before the long work, since a truth that lies elsewhere is an error.
     let truth = truth.map(|truth| pool.install(|| scan.compared(truth, args)));
     let truth = truth.transpose()?;
+    check_wanted(stop)?;
     // What cannot be read or compared leaves no folder behind.
     let out = OutputFolder::claim(&args.out)?;
     let (calibration, params) = (&found.calibration, &config.refine);

@@ -134,6 +134,8 @@ pub struct FoundScan {
     pub recorded: RecordedScan,
     /// The calibration of its device.
     pub found: FoundCalibration,
+    /// What of that it no longer takes, in a sentence.
+    pub too_late: Option<String>,
 }
 
 impl FoundScan {
@@ -164,6 +166,7 @@ impl FoundScan {
         Ok(FoundScan {
             config,
             recorded,
+            too_late: too_late(&found, &args.output),
             found,
         })
     }
@@ -171,8 +174,15 @@ impl FoundScan {
 
 /// What of a calibration the scan in an output folder no longer takes, if it says by which it was fused.
 fn too_late(found: &FoundCalibration, output: &Path) -> Option<String> {
-    let text = fs::read_to_string(output.join(Calibration::FILE_NAME)).ok()?;
-    let said = found.comes_too_late(&Calibration::from_toml(&text).ok()?);
+    let path = output.join(Calibration::FILE_NAME);
+    let text = fs::read_to_string(&path).ok()?;
+    let said = match Calibration::from_toml(&text) {
+        Ok(as_fused) => found.comes_too_late(&as_fused),
+        Err(what) => Some(format!(
+            "{}, by which the scan was fused, cannot be understood: {what}",
+            path.display()
+        )),
+    };
     said.inspect(|warning| tracing::warn!("{warning}"))
 }
 
@@ -186,6 +196,7 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         config,
         recorded,
         found,
+        too_late,
     } = match args.child.config_alone {
         true => FoundScan::read_alone(&args.scan)?,
         false => FoundScan::read(&args.scan)?,
@@ -195,7 +206,6 @@ pub fn refine(args: &RefineArgs, progress: &Progress) -> anyhow::Result<Verdict>
         None => recorded,
     };
     let session = session_name(&args.scan.output);
-    let too_late = too_late(&found, &args.scan.output);
     let mut params = PipelineParams {
         roi: args.scan.roi.map(|roi| roi.0),
         n_threads: args.scan.threads.unwrap_or_else(all_processors),

@@ -3,6 +3,7 @@
 use super::{
     CalibrationKey, ConfigError, DeviceCalibration, KeyOrigin, KeyOrigins, calibration_path,
 };
+use crate::capture::IrOffset;
 use crate::shading::Calibration;
 use depth_camera::{CameraInfo, Sensor};
 use std::{
@@ -211,11 +212,11 @@ impl FoundCalibration {
     /// Says which keys of it a scan that was fused by another calibration no longer takes: infrared images were moved, and depth was
     /// corrected, before it was fused.
     pub fn comes_too_late(&self, as_fused: &Calibration) -> Option<String> {
-        let whole_px = |calibration: &Calibration| calibration.ir_offset_px.map(f64::round);
+        let offset = |calibration: &Calibration| IrOffset::nearest(calibration.ir_offset_px);
         let keys = [
             (
                 CalibrationKey::IrOffset,
-                whole_px(&self.calibration) != whole_px(as_fused),
+                offset(&self.calibration) != offset(as_fused),
             ),
             (
                 CalibrationKey::RangeError,

@@ -164,12 +164,14 @@ pub struct ToldLight {
     pub gamma: f64,
     /// That of the calibration.
     pub believed_gamma: f64,
-    /// The light's place in the IR camera's frame, metres.
-    pub light_position_m: [f64; 3],
+    /// The light's place in the IR camera's frame, metres, where it is told.
+    pub light_position_m: Option<[f64; 3]>,
     /// How far that is, across the optical axis, from where it was believed, metres.
     pub light_moved_m: f64,
     /// Exponent of the emission's cosine about the optical axis.
     pub lobe_power: f64,
+    /// The white level of the calibration by that gamma, if it has one.
+    pub white_level: Option<f64>,
 }
 
 /// How far the remeshed surface, not displaced yet, and the part of the base mesh that is refined lie apart. Of more than 20 000 points

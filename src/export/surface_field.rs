@@ -32,7 +32,7 @@ impl<'a> SeenSurface<'a> {
         })
     }
 
-    /// Draws one label a vertex: of each pixel that of most corners of the face seen there, the first of three, NaN where there is none.
+    /// Draws one label a vertex: of each pixel that of most corners of the face seen there, the first one's where all differ, NaN where there is none.
     ///
     /// # Panics
     /// If there are fewer labels than vertices.

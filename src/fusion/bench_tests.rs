@@ -160,7 +160,7 @@ fn tracked_model(recording: &Recording, n_frames: usize, depth_max_m: f64) -> (F
 enum Ending {
     Found,
     Lost,
-    /// Among the frames that it has to find back by.
+    /// Believed in another place, among the frames that it has to find back by or before it was found.
     FalseLock,
     /// Found, and led away by later frames.
     Astray,

@@ -22,8 +22,8 @@ const SAME: Motion = Motion {
 /// One pose is better than another if more pixels agree with the model there by this share: alignments to the same place differ
 /// by up to about 0.001, and to one beside it by 0.003 and more.
 const CLEARLY: f64 = 0.002;
-/// Share of a frame's points on the model above which it is not asked whether the camera has slid away: 0.79 and more on the recorded
-/// sessions, also of every second frame; 0.5 to 0.6 where the real desk was lost and fitted all the same.
+/// Share of a frame's points on the model above which it is not asked whether the camera has slid away: every frame of the recorded sessions
+/// has more, of every second one 0.79 and more; where the real desk was lost and fitted all the same 0.5 to 0.6 had.
 const WELL_PLACED: f64 = 0.8;
 
 /// What became of the frame before.
@@ -152,7 +152,7 @@ impl Fusion {
             Before::Tracked => MAX_PREDICTION_SECS,
             Before::Missing | Before::Lost => MAX_INTERRUPTED_SECS,
         };
-        let deviation = motion_between(&track.carried_on(time_secs), &pose);
+        let deviation = track.deviation(&pose, time_secs);
         let elapsed_secs = (time_secs - track.time_secs).min(max_secs);
         gates::judge_motion(&motion, &deviation, elapsed_secs, &self.params)?;
         Ok((pose, fit))
@@ -166,7 +166,7 @@ impl Fusion {
         let is_believed = if may_be_elsewhere {
             relocalise::believe(&pose, &fit, eye, volume).is_some()
         } else {
-            let deviation = motion_between(&self.track.carried_on(time_secs), &pose);
+            let deviation = self.track.deviation(&pose, time_secs);
             let elapsed_secs = time_secs - self.track.time_secs;
             let is_steady = gates::is_as_before(&deviation, elapsed_secs, &self.params);
             fit.inlier_share > WELL_PLACED || !relocalise::has_slid(&pose, is_steady, eye, volume)

@@ -63,7 +63,7 @@ const THROUGH_SIGMAS: f32 = 3.0;
 const MIN_AGREEING_SHARE: f64 = 0.975;
 /// Largest share of the pixels seen through the model: up to 0.03 when true.
 const MAX_SEE_THROUGH_SHARE: f64 = 0.05;
-/// Both shares of a frame that follows from the one before, and of which much found no place: 0.97 and more agree when true, fast and over
+/// Both shares of a frame that follows from the one before, and of which much found no place: 0.96 and more agree when true, fast and over
 /// half a model, too, 0.75 to 0.92 where the camera has slid away. But a hand before the model agrees no better; what it leaves open is seen
 /// through by up to 0.03 when true, by 0.06 to 0.08 after most slides, and the camera goes on as before.
 const MIN_AGREEING_SHARE_ON_THE_WAY: f64 = 0.93;
@@ -302,8 +302,8 @@ fn seen_from(pose: &Pose, eye: &Eye, volume: &TsdfVolume, level: usize) -> Model
 struct Shares {
     /// The camera looks through the model.
     seen_through: f64,
-    /// It is the same surface: neither does the camera look through the model, nor does something stand where the model was
-    /// seen to be empty.
+    /// It is the same surface, drift and slant allowed for: neither does the camera look far through the model, nor does something stand
+    /// where the model was seen to be empty.
     agreeing: f64,
 }
 

@@ -1,6 +1,6 @@
 //! The camera's recent motion, carried on to guess where the next frame was taken.
 
-use crate::geometry::{Pose, increment, increment_of};
+use crate::geometry::{Motion, Pose, increment, increment_of, motion_between};
 use nalgebra::Vector6;
 
 /// Over gaps up to this long the camera goes on as it did; over longer ones it may have turned back, or be elsewhere.
@@ -41,6 +41,11 @@ impl Track {
     pub fn predict(&self, time_secs: f64) -> Pose {
         let elapsed = (time_secs - self.time_secs).clamp(0.0, MAX_PREDICTION_SECS);
         self.world_from_camera * increment(&(self.velocity * elapsed))
+    }
+
+    /// How far a pose is from where the motion leads.
+    pub fn deviation(&self, pose: &Pose, time_secs: f64) -> Motion {
+        motion_between(&self.carried_on(time_secs), pose)
     }
 
     /// Where the camera will be if it goes on moving or, where that is not known, with its last known step: a hand that was held

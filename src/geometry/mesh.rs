@@ -155,6 +155,14 @@ impl TriMesh {
         TriMesh { vertices, faces }
     }
 
+    /// Of each face whether its component ([`Self::face_components`]) has so large an area, m², or is the largest.
+    pub fn is_of_large_component(&self, least_m2: f64) -> Vec<bool> {
+        let (labels, area_m2) = self.components_with_areas();
+        let largest_m2 = area_m2.iter().copied().fold(0.0, f64::max);
+        let is_large = |&label: &u32| area_m2[label as usize] >= least_m2.min(largest_m2);
+        labels.iter().map(is_large).collect()
+    }
+
     /// [`Self::face_components`] and their areas, m².
     pub fn components_with_areas(&self) -> (Vec<u32>, Vec<f64>) {
         let (labels, n_components) = self.face_components();

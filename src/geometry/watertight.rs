@@ -1,6 +1,7 @@
 //! Closing a mesh: every hole in every component is filled, so that each edge has two faces.
 //!
-//! The mesh is cut to a manifold first, whose border falls into simple loops; splinters that come off are left out. A loop of up to 200 edges gets the triangulation
+//! The mesh is cut to a manifold first, whose border falls into simple loops; what then is smaller than
+//! 1 cm² and hangs on nothing is left out. A loop of up to 200 edges gets the triangulation
 //! of least area (Barequet and Sharir 1995), by dynamic programming. A longer one is shortened to that by a ring of triangles
 //! along it, each over two of its edges, and another ring, and so on: rings follow a ragged rim more quietly than one fan.
 //! A triangle's new edge must not be one that the mesh already has; where nothing else is left, a fan about the loop's centre
@@ -62,15 +63,14 @@ pub fn close_holes(mesh: &TriMesh) -> Watertight {
 /// Cuts a mesh to a manifold and takes away what then hangs on nothing and is smaller than [`SPLINTER_M2`], but for the largest.
 fn without_splinters(mesh: &TriMesh) -> Manifold {
     let cut = cut_to_manifold(mesh);
-    let (labels, area_m2) = cut.mesh.components_with_areas();
-    let largest_m2 = area_m2.iter().copied().fold(0.0, f64::max);
-    let is_kept = |label: &u32| area_m2[*label as usize] >= SPLINTER_M2.min(largest_m2);
-    if labels.iter().all(is_kept) {
+    let is_kept = cut.mesh.is_of_large_component(SPLINTER_M2);
+    if is_kept.iter().all(|&is_kept| is_kept) {
         return cut;
     }
-    let kept = cut.mesh.faces.iter().zip(&labels);
-    let kept = kept.filter(|(_, label)| is_kept(label));
+    let kept = cut.mesh.faces.iter().zip(&is_kept);
+    let kept = kept.filter(|(_, is_kept)| **is_kept);
     let of_mesh = |face: &[u32; 3]| face.map(|vertex| cut.from[vertex as usize]);
+    // Without them fewer faces meet at an edge, so that no further ones come off.
     cut_to_manifold(&TriMesh {
         faces: kept.map(|(face, _)| of_mesh(face)).collect(),
         vertices: mesh.vertices.clone(),

@@ -75,7 +75,7 @@ pub fn sentence(reason: &LossReason) -> String {
             1e3 * translation_m
         ),
         LossReason::Elsewhere => {
-            "the frame shows something else than the model does from there".to_owned()
+            "the frame shows something else than the model from where it seems to be".to_owned()
         }
         LossReason::Unconfirmed => {
             "a place was found that the next frame has to confirm".to_owned()

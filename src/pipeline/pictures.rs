@@ -120,7 +120,7 @@ fn fields(refinement: &Refinement, front: &PictureView) -> Vec<SurfaceField> {
 fn labels(values: Image<f32>, n_labels: usize) -> SurfaceField {
     SurfaceField {
         title: "Label",
-        caption: "Which of the albedos above the surface was given to, from dark to bright."
+        caption: "Number of the label to which the surface was given, as listed with its albedo."
             .to_owned(),
         values,
         range: [0.0, (n_labels - 1) as f64],

@@ -304,10 +304,10 @@ fn told_light(told: &Contradiction) -> ToldLight {
     ToldLight {
         gamma: *gamma,
         believed_gamma: told.believed_gamma,
-        // What images tell of a light has a place.
-        light_position_m: light.position_m.unwrap_or([f64::NAN; 3]),
+        light_position_m: light.position_m,
         light_moved_m: told.light_moved_m,
         lobe_power: light.lobe_power,
+        white_level: light.white_level,
     }
 }
 

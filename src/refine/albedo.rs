@@ -6,7 +6,7 @@
 //! This is where a round begins: `minimise` then moves the groups' albedos together with the surface. Within a group albedo may
 //! differ from site to site (`tint`).
 
-use super::materials::{Materials, SAME_GROUP, Swallowed};
+use super::materials::{Materials, SAME_GROUP};
 use super::observations::Observations;
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
@@ -75,8 +75,6 @@ pub struct Albedo {
     pub gloss: Vec<Gloss>,
     /// Robust standard deviation of the sites' own log albedos about their groups'.
     pub spread: f64,
-    /// What a single group was made of all the same.
-    pub swallowed: Option<Swallowed>,
 }
 
 /// Which groups are looked for.
@@ -103,12 +101,8 @@ impl Albedo {
             labels,
             n_groups,
             typical,
-            swallowed,
         } = Materials::of(sites, all_neighbours, observations, &ratios, groups)?;
-        let albedo = Albedo {
-            swallowed,
-            ..Self::of_labels(labels, n_groups, &ratios)
-        };
+        let albedo = Self::of_labels(labels, n_groups, &ratios);
         Some(match current {
             Some((before, _)) => {
                 let kept = before.kept_tints(&albedo);
@@ -164,7 +158,6 @@ impl Albedo {
             gloss: self.gloss,
             // What tints take up is spread all the same.
             spread: self.spread,
-            swallowed: self.swallowed,
             ..albedo
         }
     }
@@ -187,7 +180,6 @@ impl Albedo {
             gloss: vec![Gloss::default(); n_groups],
             groups,
             spread: median_absolute_deviation(&mut offsets),
-            swallowed: None,
         }
     }
 
@@ -262,7 +254,7 @@ pub fn first_of_most(counts: &[impl Ord]) -> usize {
     most.unwrap_or(0)
 }
 
-/// Group of each face, given those of the sites: its site's, or that of most of its corners, the first of three.
+/// Group of each face, given those of the sites: its site's, or that of most of its corners, the first one's where all differ.
 pub fn labels_by_face(kind: SiteKind, labels: Vec<u8>, mesh: &TriMesh) -> Vec<u8> {
     if kind == SiteKind::Face {
         return labels;
@@ -304,7 +296,7 @@ pub fn log_albedo((numerator, denominator): Ratio) -> f64 {
 }
 
 /// The sums of each site over the views that see it.
-fn ratios(
+pub fn ratios(
     sites: &Sites,
     observations: &Observations,
     current: Option<(&Albedo, Tukey)>,

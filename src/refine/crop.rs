@@ -123,9 +123,8 @@ fn largest_component(mesh: &TriMesh) -> TriMesh {
 
 /// The components that are more than crumbs.
 fn without_crumbs(mesh: &TriMesh) -> TriMesh {
-    let (labels, area_m2) = mesh.components_with_areas();
-    let least_m2 = CRUMB_SHARE * area_m2.iter().sum::<f64>();
-    mesh.filter_faces(|face| area_m2[labels[face] as usize] >= least_m2)
+    let is_kept = mesh.is_of_large_component(CRUMB_SHARE * mesh.area_m2());
+    mesh.filter_faces(|face| is_kept[face])
 }
 
 #[cfg(test)]

@@ -438,8 +438,14 @@ fn one_label_for_two_materials_leaves_the_base() {
     assert!(text.contains("refine.max_albedos"), "{text}");
     let both = of_at_most(2, 0.5).expect("they are told apart");
     assert_eq!(both.materials.len(), 2);
-    let one = of_at_most(1, 1.0).expect("there is one");
-    assert_eq!(one.materials.len(), 1);
+    assert!(matches!(
+        of_at_most(1, 0.6),
+        Err(RefineError::OneLabel { .. })
+    ));
+    for darker in [0.75, 1.0] {
+        let one = of_at_most(1, darker).expect("tints take up the rest");
+        assert_eq!(one.materials.len(), 1);
+    }
 }
 
 #[test]

@@ -235,7 +235,6 @@ mod tests {
                 groups: vec![0.0, 1.0],
                 gloss: vec![Gloss::default(); 2],
                 spread: 0.0,
-                swallowed: None,
             },
         };
         let State {

@@ -187,6 +187,14 @@ pub fn refine(
     }
     let learning = all & !held_out;
     let (base, errors_before) = prepared.base(subject, learning)?;
+    // A mixture that may be of more labels and is of one tells no second material.
+    let is_forced = params.max_albedos == 1 || params.albedo.mode == AlbedoMode::Paper;
+    if base.albedo.groups.len() == 1
+        && is_forced
+        && let Some(swallowed) = prepared.swallowed(learning)
+    {
+        return Err(RefineError::OneLabel(swallowed));
+    }
     let mut state = base.clone();
     let mut iterations = Vec::new();
     let mut accepted = |iteration| {
@@ -195,9 +203,6 @@ pub fn refine(
     };
     let first = 0..params.n_rounds;
     let mut status = prepared.run(first, learning, &mut state, &mut accepted);
-    if let Some(swallowed) = state.albedo.swallowed {
-        return Err(RefineError::OneLabel(swallowed));
-    }
     let judgement = Judgement::of(&prepared.judge(base, &mut state, learning, held_out));
     if judgement.prefers_base() {
         return Err(RefineError::WorseThanBase(judgement.overall));

@@ -39,7 +39,7 @@ pub struct RefineParams {
     pub integrate_pixels: bool,
     /// How the derivatives of the data term are found; both ways give the same surface.
     pub jacobian: JacobianMode,
-    /// Materials told apart by their albedo at most.
+    /// Materials told apart by their albedo at most; with 1 nothing is refined where the images tell two.
     pub max_albedos: usize,
     /// Whether light that arrives over other surfaces is predicted beside that of Eq. (1).
     pub interreflection: bool,

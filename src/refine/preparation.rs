@@ -6,6 +6,7 @@ use super::calibration_trial::CalibrationTrial;
 use super::error::{MAX_NON_MANIFOLD_SHARE, RefineError};
 use super::held_out::{JudgedView, Judgement, every, judge};
 use super::level::{Level, levels};
+use super::materials::Swallowed;
 use super::observations::Observations;
 use super::optics::Optics;
 use super::params::RefineParams;
@@ -159,6 +160,13 @@ impl Preparation {
             albedo,
         };
         Ok((state, errors))
+    }
+
+    /// Two materials that a set of views tells apart on the base surface, where only one label may be given.
+    pub fn swallowed(&self, learning: ViewSet) -> Option<Swallowed> {
+        let sites = self.base_sites.only(learning);
+        let observations = Observations::new(&sites, &self.views, None, None);
+        Swallowed::of(&sites, self.levels[0].neighbours(), &observations)
     }
 
     /// What a set of views says of the gloss of each material of the base surface; `None` where they say nothing of each.

@@ -132,17 +132,25 @@ fn the_file_of_another_device_is_refused_unless_it_was_asked_for() {
 #[test]
 fn what_a_fused_scan_no_longer_takes_is_told() {
     let bench = Bench::new();
-    let late = |offset: &str, gamma: f64| {
+    let late = |keys: &str, gamma: f64| {
         let text = complete(gamma);
-        let path = bench.write("given.toml", &format!("ir_offset_px = {offset}\n{text}"));
+        let path = bench.write("given.toml", &format!("{keys}\n{text}"));
         let found = bench.find(Some(&path)).unwrap();
         found.comes_too_late(&Calibration::from_toml(COMPLETE).unwrap())
     };
-    assert_eq!(late("[0.0, 0.0]", 0.7), None);
-    assert_eq!(late("[0.4, -0.3]", 0.87), None, "the same whole pixels");
-    let said = late("[5.0, 4.0]", 0.87).unwrap();
+    assert_eq!(late("", 0.7), None);
+    let same_pixels = late("ir_offset_px = [0.4, -0.3]", 0.87);
+    assert_eq!(same_pixels, None);
+    let offset = "ir_offset_px = [5.0, 4.0]";
+    let said = late(offset, 0.87).unwrap();
     assert!(
-        said.contains("given.toml has another ir_offset_px than") && !said.contains("range"),
+        said.contains("given.toml has another ir_offset_px than"),
+        "{said}"
+    );
+    let range = "range_error_m = [[0.5, 0.001], [1.0, 0.002]]";
+    let said = late(&format!("{offset}\n{range}"), 0.87).unwrap();
+    assert!(
+        said.contains("another ir_offset_px and another range_error_m than"),
         "{said}"
     );
 }
