@@ -7,6 +7,7 @@ pub mod config;
 pub mod daemon;
 pub mod devices;
 pub mod evaluate;
+pub mod found_scan;
 pub mod logging;
 pub mod package;
 pub mod processor_time;

@@ -10,7 +10,8 @@ mod ablations;
 
 use super::{
     EvaluateArgs,
-    run::{self, FoundScan, Verdict},
+    found_scan::FoundScan,
+    run::{self, Verdict},
     stdout::Stdout,
     stopping::check_wanted,
 };

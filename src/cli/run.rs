@@ -1,7 +1,7 @@
 //! What the sub-commands do: configure, build, wait, sum up.
 
 use super::{
-    DemoArgs, RecordedScanArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, stdout::Stdout,
+    DemoArgs, RefineArgs, ReplayArgs, SimulateArgs, daemon, found_scan::FoundScan, stdout::Stdout,
     stopping::Stopped, summary,
 };
 use anyhow::{Context, bail};
@@ -11,22 +11,17 @@ pub(super) use relief::control::all_processors;
 use relief::{
     atomic_file::is_passing,
     capture::RecordFormat,
-    config::{
-        self, CalibrationPlaces, Config, ConfigError, FoundCalibration, LayerPlaces, LayeredConfig,
-        Overrides,
-    },
+    config::{self, CalibrationPlaces, Config, ConfigError},
     control::{self, ControlError, DaemonError, EXIT_INTERRUPTED, Progress},
     devices::open_recording,
     pipeline::{
         EVENTS_FILE, Ending, GivenPoses, Outcome, OutputFolder, OutputFolderError, Pipeline,
-        PipelineParams, RecordedScan, SpawnError, WhenFull,
+        PipelineParams, SpawnError, WhenFull,
     },
-    shading::Calibration,
 };
 use replay::{Pacing, SessionWriter, WriteError};
 use simulated::SimulatedCamera;
 use std::{
-    fs,
     io::Write,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -124,66 +119,6 @@ pub fn replay(args: &ReplayArgs, progress: &Progress) -> anyhow::Result<Verdict>
         false => summary::print_scan(&outcome).map_err(Into::into),
     };
     verdict_when_told(&outcome, printed)
-}
-
-/// A recorded scan with its configuration and calibration.
-pub struct FoundScan {
-    /// The configuration.
-    pub config: Config,
-    /// The scan.
-    pub recorded: RecordedScan,
-    /// The calibration of its device.
-    pub found: FoundCalibration,
-    /// What of that it no longer takes, in a sentence.
-    pub too_late: Option<String>,
-}
-
-impl FoundScan {
-    /// Reads what the arguments name.
-    pub fn read(args: &RecordedScanArgs) -> anyhow::Result<Self> {
-        let config = Config::layered(args.config.as_deref(), &Overrides::default())?;
-        let folder = calibrations(args.calibration_dir.as_deref(), args.config.as_deref())?;
-        Self::read_with(config, args, &folder)
-    }
-
-    /// Reads what the arguments name, with the configuration given and nothing of this machine.
-    fn read_alone(args: &RecordedScanArgs) -> anyhow::Result<Self> {
-        let places = LayerPlaces::only(args.config.as_deref());
-        let layered = LayeredConfig::read(&places, &Overrides::default())?;
-        // The daemon's worker names its folder, whether there is one or not.
-        let folder = calibration_folder(args.calibration_dir.as_deref(), args.config.as_deref());
-        Self::read_with(layered.config, args, &folder)
-    }
-
-    fn read_with(config: Config, args: &RecordedScanArgs, folder: &Path) -> anyhow::Result<Self> {
-        let recorded = RecordedScan::read(&args.output)?;
-        let places = CalibrationPlaces {
-            given: args.calibration.as_deref(),
-            folder,
-            session: Some(&args.output),
-        };
-        let found = config::find_calibration(&recorded.info, &places)?;
-        Ok(FoundScan {
-            config,
-            recorded,
-            too_late: too_late(&found, &args.output),
-            found,
-        })
-    }
-}
-
-/// What of a calibration the scan in an output folder no longer takes, if it says by which it was fused.
-fn too_late(found: &FoundCalibration, output: &Path) -> Option<String> {
-    let path = output.join(Calibration::FILE_NAME);
-    let text = fs::read_to_string(&path).ok()?;
-    let said = match Calibration::from_toml(&text) {
-        Ok(as_fused) => found.comes_too_late(&as_fused),
-        Err(what) => Some(format!(
-            "{}, by which the scan was fused, cannot be understood: {what}",
-            path.display()
-        )),
-    };
-    said.inspect(|warning| tracing::warn!("{warning}"))
 }
 
 /// `relief refine`.

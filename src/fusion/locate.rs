@@ -159,7 +159,8 @@ impl Fusion {
     }
 
     /// After an interruption or a gap the camera may be elsewhere: a pose is then believed as one that was searched for. Where on the way
-    /// much of a frame finds no place on the model, it may show what was not seen before, or a hand, or the camera has slid away.
+    /// much of a frame finds no place on the model, it may show what was not seen before, a hand or a thing that was moved; but where the
+    /// camera does not go on as before it may have slid away.
     fn check(&self, (pose, fit): (Pose, Fit), time_secs: f64) -> Result<(Pose, Fit), LossReason> {
         let (eye, volume) = (&self.eye, &self.fused.volume);
         let may_be_elsewhere = self.before != Before::Tracked || self.is_after_gap(time_secs);
@@ -168,8 +169,9 @@ impl Fusion {
         } else {
             let deviation = self.track.deviation(&pose, time_secs);
             let elapsed_secs = time_secs - self.track.time_secs;
-            let is_steady = gates::is_as_before(&deviation, elapsed_secs, &self.params);
-            fit.inlier_share > WELL_PLACED || !relocalise::has_slid(&pose, is_steady, eye, volume)
+            fit.inlier_share > WELL_PLACED
+                || gates::is_as_before(&deviation, elapsed_secs, &self.params)
+                || !relocalise::has_slid(&pose, eye, volume)
         };
         is_believed
             .then_some((pose, fit))

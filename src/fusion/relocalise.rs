@@ -61,13 +61,11 @@ const THROUGH_SIGMAS: f32 = 3.0;
 /// Least share of the pixels that the model can judge, by which it agrees: 0.987 and more when true, on a real desk too, up to
 /// 0.957 when the place is another one, and 0.964 for a lock some centimetres off in the right place.
 const MIN_AGREEING_SHARE: f64 = 0.975;
+/// The same of a frame of which much found no place, and that does not go on as the camera did before: 0.96 and more when true, fast and
+/// over half a model, too, 0.75 to 0.92 where the camera has slid away.
+const MIN_AGREEING_SHARE_AFTER_A_JERK: f64 = 0.93;
 /// Largest share of the pixels seen through the model: up to 0.03 when true.
 const MAX_SEE_THROUGH_SHARE: f64 = 0.05;
-/// Both shares of a frame that follows from the one before, and of which much found no place: 0.96 and more agree when true, fast and over
-/// half a model, too, 0.75 to 0.92 where the camera has slid away. But a hand before the model agrees no better; what it leaves open is seen
-/// through by up to 0.03 when true, by 0.06 to 0.08 after most slides, and the camera goes on as before.
-const MIN_AGREEING_SHARE_ON_THE_WAY: f64 = 0.93;
-const MAX_SEE_THROUGH_SHARE_BESIDE_A_HAND: f64 = 0.035;
 
 /// Mean depths of the cells of a depth image, metres; 0 where most pixels are missing.
 type Thumbnail = Vec<f32>;
@@ -269,17 +267,11 @@ pub(super) fn believe(pose: &Pose, fit: &Fit, eye: &Eye, volume: &TsdfVolume) ->
     })
 }
 
-/// Whether the camera has slid away from where the frame in hand was taken, to a pose that follows from the one before; `is_steady` says
-/// that it moved there as it did before.
-pub(super) fn has_slid(pose: &Pose, is_steady: bool, eye: &Eye, volume: &TsdfVolume) -> bool {
+/// Whether the model shows something else than the frame in hand from a pose that the camera came to with a jerk.
+pub(super) fn has_slid(pose: &Pose, eye: &Eye, volume: &TsdfVolume) -> bool {
     let model = seen_from(pose, eye, volume, MODEL_LEVEL);
-    let Shares {
-        agreeing,
-        seen_through,
-    } = compare(eye, &model, pose, volume.voxel_size_m());
-    let is_beside_a_hand = is_steady
-        && seen_through <= MAX_SEE_THROUGH_SHARE_BESIDE_A_HAND * (seen_through + agreeing);
-    agreeing < MIN_AGREEING_SHARE_ON_THE_WAY && !is_beside_a_hand
+    let shares = compare(eye, &model, pose, volume.voxel_size_m());
+    shares.agreeing < MIN_AGREEING_SHARE_AFTER_A_JERK
 }
 
 impl Fusion {

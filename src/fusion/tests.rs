@@ -200,14 +200,14 @@ fn a_frame_from_elsewhere_is_lost_and_not_fused_and_tracking_resumes() {
 }
 
 #[test]
-fn a_frame_that_fits_in_part_is_fused_beside_a_hand_and_not_from_elsewhere() {
+fn a_frame_that_fits_in_part_is_fused_unless_it_comes_with_a_jerk() {
     let (frames, _, camera) = frames(12);
     let mut fusion = fusion(camera);
     for frame in &frames[..5] {
         fuse(&mut fusion, frame);
     }
-    // Of the pixels with depth the first third shows a hand, and the last share something behind the model.
-    let outcome = |index: usize, behind: f32| {
+    // Of the pixels with depth the first third shows a hand; behind the last share something was taken away.
+    let outcome = |index: usize, taken_away: f32| {
         let mut depth = frames[index].depth.clone().expect("Kinect II");
         let n_there = depth.data().iter().filter(|&&z| z > 0.0).count();
         let pixels = depth.data_mut().iter_mut().filter(|z| **z > 0.0);
@@ -215,16 +215,21 @@ fn a_frame_that_fits_in_part_is_fused_beside_a_hand_and_not_from_elsewhere() {
             let share = n as f32 / n_there as f32;
             if share < 0.33 {
                 *z -= 0.1;
-            } else if share > 1.0 - behind {
+            } else if share > 1.0 - taken_away {
                 *z += 0.1;
             }
         }
         fusion.clone().fuse(&depth, frames[5].device_time_secs)
     };
-    assert!(matches!(outcome(5, 0.0), TrackingOutcome::Tracked { .. }));
+    for taken_away in [0.0, 0.08] {
+        let outcome = outcome(5, taken_away);
+        assert!(
+            matches!(outcome, TrackingOutcome::Tracked { .. }),
+            "{outcome:?}"
+        );
+    }
     let elsewhere = TrackingOutcome::Lost(LossReason::Elsewhere);
-    assert_eq!(outcome(5, 0.08), elsewhere, "the model is looked through");
-    assert_eq!(outcome(8, 0.0), elsewhere, "a hand that comes with a jerk");
+    assert_eq!(outcome(8, 0.0), elsewhere);
 }
 
 #[test]
