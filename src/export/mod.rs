@@ -69,7 +69,7 @@ pub use report_html::{ReportPictures, SurfaceField, write_report_html};
 pub use snapshot_reader::{StoredSnapshot, StoredSnapshots, read_snapshots};
 pub use snapshots::{SNAPSHOTS, SnapshotExport, SnapshotRecord, write_masks, write_snapshots};
 pub use surface_field::SeenSurface;
-pub use trajectory::{read_trajectory, write_trajectory};
+pub use trajectory::{read_trajectory, tum_numbers, write_trajectory};
 pub use views::{MeanView, PictureSize, PictureView, three_views};
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Numbers on a surface, drawn from one side.
 
 use super::PictureView;
-use crate::geometry::{TriMesh, rasterise};
+use crate::geometry::{TriMesh, label_of_most_corners, rasterise};
 use depth_camera::Image;
 
 /// What one sees of a surface from one side, to draw numbers on.
@@ -32,15 +32,13 @@ impl<'a> SeenSurface<'a> {
         })
     }
 
-    /// Draws one label a vertex: of each pixel that of most corners of the face seen there, the first one's where all differ, NaN where there is none.
+    /// Draws one label a vertex: of each pixel [that of most corners](label_of_most_corners) of the face seen there, NaN where there is
+    /// none.
     ///
     /// # Panics
     /// If there are fewer labels than vertices.
     pub fn draw_labels(&self, labels: &[u8]) -> Image<f32> {
-        self.draw_faces(|corners| {
-            let [a, b, c] = corners.map(|vertex| labels[vertex as usize]);
-            f32::from(if b == c { b } else { a })
-        })
+        self.draw_faces(|corners| f32::from(label_of_most_corners(corners, labels)))
     }
 
     /// Draws what each face has by its corners.

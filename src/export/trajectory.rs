@@ -65,14 +65,16 @@ pub(super) fn check_pose(time_secs: f64, pose: &Pose) -> Result<(), String> {
     }
 }
 
+/// A pose as the TUM format has it: `tx ty tz qx qy qz qw`, translation in metres.
+pub fn tum_numbers(pose: &Pose) -> [f64; 7] {
+    let (t, q) = (&pose.translation.vector, &pose.rotation.coords);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
 /// One line of a TUM file, without its end.
 pub(super) fn tum_line(time_secs: f64, world_from_camera: &Pose) -> String {
-    let t = &world_from_camera.translation.vector;
-    let q = &world_from_camera.rotation.coords;
-    format!(
-        "{time_secs:.6} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
-        t.x, t.y, t.z, q.x, q.y, q.z, q.w
-    )
+    let [tx, ty, tz, qx, qy, qz, qw] = tum_numbers(world_from_camera);
+    format!("{time_secs:.6} {tx:.9} {ty:.9} {tz:.9} {qx:.9} {qy:.9} {qz:.9} {qw:.9}")
 }
 
 fn parse_tum_line(line: &str) -> Result<(f64, Pose), String> {

@@ -167,10 +167,13 @@ impl Fusion {
         let is_believed = if may_be_elsewhere {
             relocalise::believe(&pose, &fit, eye, volume).is_some()
         } else {
-            let deviation = self.track.deviation(&pose, time_secs);
-            let elapsed_secs = time_secs - self.track.time_secs;
+            let goes_on_as_before = || {
+                let deviation = self.track.deviation(&pose, time_secs);
+                let elapsed_secs = time_secs - self.track.time_secs;
+                gates::is_as_before(&deviation, elapsed_secs, &self.params)
+            };
             fit.inlier_share > WELL_PLACED
-                || gates::is_as_before(&deviation, elapsed_secs, &self.params)
+                || goes_on_as_before()
                 || !relocalise::has_slid(&pose, eye, volume)
         };
         is_believed

@@ -11,6 +11,9 @@ const PARALLEL: usize = 10_000;
 /// All faces are gone through for each part of the vertices, of which there are so many at most.
 const MAX_PARTS: usize = 8;
 
+/// Parts of a fused surface that are smaller are noise, m²; arbitrary.
+pub const MIN_PART_AREA_M2: f64 = 1e-4;
+
 /// A triangle mesh: vertices in metres, faces counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriMesh {
@@ -23,6 +26,15 @@ pub struct TriMesh {
 /// The normal of a triangle, twice its area long (m²): `(b−a)×(c−a)`.
 pub fn area_vector([a, b, c]: [Point3<f64>; 3]) -> Vector3<f64> {
     (b - a).cross(&(c - a))
+}
+
+/// The label of most corners of a face, the first one's where all differ.
+///
+/// # Panics
+/// If a corner has no label.
+pub fn label_of_most_corners(face: [u32; 3], labels: &[u8]) -> u8 {
+    let [a, b, c] = face.map(|vertex| labels[vertex as usize]);
+    if b == c { b } else { a }
 }
 
 /// The side of a cube that a normal faces most: twice the axis, and one more if it points against that.

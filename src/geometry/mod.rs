@@ -36,7 +36,9 @@ pub use clustering::{Clustering, cluster_vertices, coarsened};
 pub use lens::{Lens, LocalLens, Projected};
 pub(crate) use lists::Lists;
 pub use manifold::{Manifold, border_loops, cut_to_manifold};
-pub use mesh::{EdgeAdjacency, TriMesh, area_vector, facing_side};
+pub use mesh::{
+    EdgeAdjacency, MIN_PART_AREA_M2, TriMesh, area_vector, facing_side, label_of_most_corners,
+};
 pub use motion_equations::MotionEquations;
 pub use patch::{DepthPatch, PixelSquare};
 pub use plane::Plane;

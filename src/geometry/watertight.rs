@@ -1,8 +1,7 @@
 //! Closing a mesh: every hole in every component is filled, so that each edge has two faces.
 //!
-//! The mesh is cut to a manifold first, whose border falls into simple loops; what then is smaller than
-//! 1 cm² and hangs on nothing is left out. A loop of up to 200 edges gets the triangulation
-//! of least area (Barequet and Sharir 1995), by dynamic programming. A longer one is shortened to that by a ring of triangles
+//! The mesh is cut to a manifold first, whose border falls into simple loops; what then is smaller than 1 cm² and hangs on nothing
+//! is left out. A loop of up to 200 edges gets the triangulation of least area (Barequet and Sharir 1995), by dynamic programming. A longer one is shortened to that by a ring of triangles
 //! along it, each over two of its edges, and another ring, and so on: rings follow a ragged rim more quietly than one fan.
 //! A triangle's new edge must not be one that the mesh already has; where nothing else is left, a fan about the loop's centre
 //! closes it.
@@ -10,14 +9,11 @@
 //! Not handled: fillings may pass through other parts of the surface; nothing is known of what they stand for.
 
 use super::manifold::{Manifold, border_loops, cut_to_manifold};
-use super::{EdgeAdjacency, TriMesh};
+use super::{EdgeAdjacency, MIN_PART_AREA_M2, TriMesh};
 use nalgebra::{Point3, Vector3};
 
 /// Loops of more edges are shortened first: the work grows with the third power, 8 million triangles here.
 const MAX_EXACT_EDGES: usize = 200;
-
-/// Smaller parts are no things of their own, m²; arbitrary, as of what stands on a table.
-const SPLINTER_M2: f64 = 1e-4;
 
 /// A mesh without holes.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,10 +56,10 @@ pub fn close_holes(mesh: &TriMesh) -> Watertight {
     }
 }
 
-/// Cuts a mesh to a manifold and takes away what then hangs on nothing and is smaller than [`SPLINTER_M2`], but for the largest.
+/// Cuts a mesh to a manifold and takes away what then hangs on nothing and is smaller than [`MIN_PART_AREA_M2`], but for the largest.
 fn without_splinters(mesh: &TriMesh) -> Manifold {
     let cut = cut_to_manifold(mesh);
-    let is_kept = cut.mesh.is_of_large_component(SPLINTER_M2);
+    let is_kept = cut.mesh.is_of_large_component(MIN_PART_AREA_M2);
     if is_kept.iter().all(|&is_kept| is_kept) {
         return cut;
     }

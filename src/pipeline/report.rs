@@ -12,9 +12,8 @@ use crate::{
     capture::CaptureSummary,
     export::{
         AlbedoShare, BaseMesh, Evidence, FrameCounts, HeldOut, Iteration, RefinedMesh, RefinedView,
-        Remeshing, Report, SurfaceDistance, ToldLight, Tracking,
+        Remeshing, Report, SurfaceDistance, ToldLight, Tracking, tum_numbers,
     },
-    geometry::Pose,
     refine::{
         Contradiction, Judgement, MAX_MISFIT, Material, RefineStatus, Refinement,
         remesh::{Distances, RemeshDistance},
@@ -245,7 +244,7 @@ fn refined_mesh(
             frame_id: snapshot.frame_id,
             time_secs: snapshot.device_time_secs,
             gain: view.gain,
-            world_from_camera: translation_and_quaternion(&view.world_from_camera),
+            world_from_camera: tum_numbers(&view.world_from_camera),
             shift_px: view.shift_px,
             rmse_before: view.rmse_before,
             rmse_after: view.rmse_after,
@@ -292,11 +291,6 @@ fn refined_mesh(
         evidence: evidence(refinement),
         views,
     }
-}
-
-fn translation_and_quaternion(pose: &Pose) -> [f64; 7] {
-    let (t, q) = (&pose.translation.vector, &pose.rotation.coords);
-    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
 }
 
 fn told_light(told: &Contradiction) -> ToldLight {

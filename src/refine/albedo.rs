@@ -10,7 +10,7 @@ use super::materials::{Materials, SAME_GROUP};
 use super::observations::Observations;
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites};
-use crate::geometry::TriMesh;
+use crate::geometry::{TriMesh, label_of_most_corners};
 use crate::robust::{Tukey, median_absolute_deviation};
 use crate::shading::Gloss;
 use rayon::prelude::*;
@@ -254,16 +254,15 @@ pub fn first_of_most(counts: &[impl Ord]) -> usize {
     most.unwrap_or(0)
 }
 
-/// Group of each face, given those of the sites: its site's, or that of most of its corners, the first one's where all differ.
+/// Group of each face, given those of the sites: its site's, or [that of most corners](label_of_most_corners).
 pub fn labels_by_face(kind: SiteKind, labels: Vec<u8>, mesh: &TriMesh) -> Vec<u8> {
     if kind == SiteKind::Face {
         return labels;
     }
-    let of_face = |face: &[u32; 3]| {
-        let [a, b, c] = face.map(|vertex| labels[vertex as usize]);
-        if b == c { b } else { a }
-    };
-    mesh.faces.iter().map(of_face).collect()
+    let faces = mesh.faces.iter();
+    faces
+        .map(|&face| label_of_most_corners(face, &labels))
+        .collect()
 }
 
 /// The albedos of given groups: Eq. (2) within each, and of all sites for one that no site belongs to.

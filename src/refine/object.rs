@@ -1,7 +1,7 @@
 //! Which part of a base mesh is the object: what stands above the dominant plane where the cameras looked, with the parts
 //! that touch it; or what lies in a box.
 
-use crate::geometry::{EdgeAdjacency, Plane, Pose, TriMesh, cell_of};
+use crate::geometry::{EdgeAdjacency, MIN_PART_AREA_M2, Plane, Pose, TriMesh, cell_of};
 use crate::snapshot::attention;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -30,8 +30,6 @@ const FLOOR_MIN_ENCLOSED: f64 = 0.9;
 const FLOOR_MIN_HEIGHT_M: f64 = 0.002;
 /// Parts nearer to each other than this touch, metres; leaves of a plant leave gaps of a few voxels.
 const TOUCH_M: f64 = 0.008;
-/// Smaller parts are noise, m²; arbitrary.
-const MIN_PART_AREA_M2: f64 = 1e-4;
 /// Of so many faces one is asked how near the optical axes it lies, in which neighbours in a list of faces hardly differ.
 const ATTENTION_EVERY: usize = 4;
 /// ... and of all cameras about so many, spread over the scan: enough for every side that was looked from. Arbitrary.
