@@ -4,8 +4,6 @@ use super::weld::welded;
 use crate::geometry::{CameraModel, EdgeAdjacency, PointGrid, Pose, TriMesh, TriangleBvh};
 use nalgebra::{Point3, Vector3};
 
-/// Cameras looked through: every so many, since neighbours see the same.
-const EVERY_CAMERA: usize = 5;
 /// Cosine of incidence below which a surface does not count as seen.
 const MIN_COSINE: f64 = 0.35;
 /// Nearest depth that a camera measures, metres.
@@ -107,7 +105,7 @@ impl Truth {
         camera: &CameraModel,
         truth_from_cameras: &[Pose],
     ) -> bool {
-        truth_from_cameras.iter().step_by(EVERY_CAMERA).any(|pose| {
+        truth_from_cameras.iter().any(|pose| {
             let centre = Point3::from(pose.translation.vector);
             let towards = centre - point;
             let point_camera = pose.inverse_transform_point(point);

@@ -9,7 +9,6 @@ the session's box, edges of depth left out.
 """
 
 import argparse
-import importlib.util
 import json
 import pathlib
 
@@ -17,6 +16,7 @@ import numpy as np
 import open3d as o3d
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
+from scoring import scoring_script
 
 SNAPSHOT_UNITS_PER_METRE = 5000.0
 COSINES = [0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.97, 1.001]
@@ -39,13 +39,6 @@ def rays(camera):
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
-def load(path):
-    spec = importlib.util.spec_from_file_location("score", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def read_depth(path, units_per_metre):
     return np.array(Image.open(path)) / units_per_metre
 
@@ -56,7 +49,7 @@ def main():
     arguments.add_argument("score", type=pathlib.Path)
     arguments.add_argument("out", type=pathlib.Path)
     given = arguments.parse_args()
-    score = load(given.score)
+    score = scoring_script(given.score)
     truth = score.Truth(str(given.session))
     units = score.read_toml(given.session / "session.toml")["depth_units_per_metre"]
     lines = (given.session / "depth.txt").read_text().splitlines()

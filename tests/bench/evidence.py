@@ -10,12 +10,12 @@ hundredth) and the mean angle to the true normals, of the vertices that SCORE.py
 facing as it does, not at its border.
 """
 
-import importlib.util
 import sys
 
 import numpy as np
 from relief_ply import positions, read_mesh
 from scipy.spatial import cKDTree
+from scoring import scoring_script
 
 N_PARTS = 5
 # Shading images that see a vertex: each part goes from one of these to below the next.
@@ -28,9 +28,7 @@ N_DETAIL = 25000
 
 
 def main(session, score_path, path):
-    spec = importlib.util.spec_from_file_location("score", score_path)
-    score = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(score)
+    score = scoring_script(score_path)
     truth = score.Truth(session)
     vertices, _ = read_mesh(path)
     normals = np.stack([vertices[name] for name in ("nx", "ny", "nz")], 1).astype(float)

@@ -14,12 +14,13 @@ This is scoring: it alone reads the session's measured poses and surface. In tur
 Outputs of the program lie in OUT. One line each: normals, detail,
 distance of base and of refined mesh."""
 import argparse
-import importlib.util
 import pathlib
 import subprocess
 
 import numpy as np
+from relief_ply import write_mesh
 from scipy.spatial.transform import Rotation
+from scoring import scoring_script
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -34,14 +35,6 @@ def relief(args, out, command, config=""):
     return out
 
 
-def write_ply(path, vertices, faces):
-    header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\nproperty float x\nproperty float y\n"
-              f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n")
-    rows = np.empty(len(faces), dtype=[("n", "u1"), ("corners", "<i4", 3)])
-    rows["n"], rows["corners"] = 3, faces
-    path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
-
-
 def with_true_surface(score, truth, scan, folder):
     """A copy of a scan in the truth's frame, by links, whose surface within the object's box is the true one."""
     if not folder.exists():
@@ -52,7 +45,7 @@ def with_true_surface(score, truth, scan, folder):
         vertices, faces = score.load(str(scan / "base.ply"))
         inside = ((vertices > truth.lo - 0.005) & (vertices < truth.hi + 0.005)).all(1)
         around = faces[~inside[faces].any(1)]
-        write_ply(folder / "base.ply", np.concatenate([vertices, truth.v]), np.concatenate([around, truth.f + len(vertices)]))
+        write_mesh(folder / "base.ply", np.concatenate([vertices, truth.v]), np.concatenate([around, truth.f + len(vertices)]))
     return folder
 
 
@@ -93,13 +86,14 @@ def main():
     parser.add_argument("--relief", default=str(ROOT / "target/release/relief"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    spec = importlib.util.spec_from_file_location("score", args.score)
-    score = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(score)
+    score = scoring_script(args.score)
     truth = score.Truth(str(args.session))
 
     def told(what, *meshes):
         for mesh in meshes:
+            if not mesh.exists():
+                print(f"{what}, {mesh.stem}: none, for the reason above", flush=True)
+                continue
             found = score.score(str(args.session), str(mesh), truth)
             if "error" in found:
                 print(f"{what}, {mesh.stem}: {found['error']}", flush=True)

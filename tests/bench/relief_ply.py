@@ -23,3 +23,12 @@ def read_mesh(path):
 def positions(vertices):
     """Their positions, metres, a row each."""
     return np.stack([vertices[axis] for axis in "xyz"], 1).astype(float)
+
+
+def write_mesh(path, vertices, faces):
+    """Vertices, metres, and the corners of the faces, a row each."""
+    header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\nproperty float x\nproperty float y\n"
+              f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n")
+    rows = np.empty(len(faces), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, faces
+    path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
