@@ -167,10 +167,11 @@ impl Run {
     fn fuse(&mut self, depth: &Image<f32>, time_secs: f64, truth: Option<&GivenPoses>) {
         let (start_cpu_ms, start) = (process_cpu_ms(), Instant::now());
         let mut last_ms = start_cpu_ms;
-        let steps = &mut self.steps_cpu_ms;
+        let mut steps = [None; FusionStep::ALL.len()];
         let outcome = self.fusion.fuse_observed(depth, time_secs, &mut |step| {
             let now_ms = process_cpu_ms();
-            steps[step as usize].push(now_ms - last_ms);
+            // Distances are gone by twice where a frame does not lie where the motion leads.
+            *steps[step as usize].get_or_insert(0.0) += now_ms - last_ms;
             last_ms = now_ms;
         });
         match outcome {
@@ -180,6 +181,9 @@ impl Run {
             } => {
                 self.frames.tracked += 1;
                 self.fits.extend(fit);
+                for (all, of_frame) in self.steps_cpu_ms.iter_mut().zip(steps) {
+                    all.extend(of_frame);
+                }
                 self.frames_cpu_ms.push(process_cpu_ms() - start_cpu_ms);
                 self.frames_wall_ms
                     .push(1e3 * start.elapsed().as_secs_f64());
@@ -210,6 +214,7 @@ impl Run {
     fn frame_time(&mut self) -> FrameTime {
         let wall_ms = robust::median(&mut self.frames_wall_ms);
         FrameTime {
+            frame_mean_cpu_ms: mean(&self.frames_cpu_ms, self.frames.tracked),
             frame_cpu_ms: robust::median(&mut self.frames_cpu_ms),
             frame_wall_ms: wall_ms,
             fps: wall_ms.map(|wall_ms| 1e3 / wall_ms),
@@ -249,12 +254,22 @@ impl Run {
     fn step_medians(&mut self) -> Vec<StepTime> {
         FusionStep::ALL
             .into_iter()
-            .map(|step| StepTime {
-                step,
-                median_ms: robust::median(&mut self.steps_cpu_ms[step as usize]),
+            .map(|step| {
+                let of_step = &mut self.steps_cpu_ms[step as usize];
+                StepTime {
+                    step,
+                    n_frames: of_step.len(),
+                    mean_ms: mean(of_step, self.frames.tracked).unwrap_or(0.0),
+                    median_ms: robust::median(of_step),
+                }
             })
             .collect()
     }
+}
+
+/// Of so many values, of which those that are not there are 0; `None` of none.
+fn mean(values: &[f64], n: usize) -> Option<f64> {
+    (n > 0).then(|| values.iter().sum::<f64>() / n as f64)
 }
 
 fn process_cpu_ms() -> f64 {

@@ -48,28 +48,50 @@ pub fn align(
     let (pose, equations) =
         sdf_alignment::align(arch, levels, volume, &pose, noise, icp.sdf_iterations)?;
     let degeneracy = Degeneracy::of(eye, beside.common, &pose)?;
-    let aligned = AlignedPose {
-        pose,
-        conditioning: equations.conditioning(SIZE_M),
-        equations,
-    };
+    let aligned = AlignedPose::new(pose, equations);
     let infrared = beside.infrared;
     let held = infrared.and_then(|images| images.hold(eye, volume, &degeneracy, &aligned));
-    let AlignedPose {
-        pose,
-        equations,
-        conditioning,
-    } = held.unwrap_or(aligned);
+    let aligned = held.unwrap_or(aligned);
     let level = eye.level(MODEL_LEVEL);
-    let mut fit = Fit {
-        inlier_share: equations.n_inliers as f64 / equations.n_points.max(1) as f64,
-        rmse_m: equations.rmse_m(),
-        conditioning,
-        see_through_share: icp::see_through_share(level, model, &pose, volume.voxel_size_m()),
-        held_share: degeneracy.least_share,
-        fitness: 0.0,
-    };
-    fit.fitness = gates::fitness(&fit, &eye.frame, noise, params);
+    let see_through_share =
+        icp::see_through_share(level, model, &aligned.pose, volume.voxel_size_m());
     on_step(FusionStep::SdfAlignment);
-    Some((pose, fit))
+    let fit = aligned.fit(eye, params, see_through_share, &degeneracy);
+    Some((aligned.pose, fit))
+}
+
+impl AlignedPose {
+    /// Where distances alone have led.
+    pub fn new(pose: Pose, equations: NormalEquations) -> Self {
+        AlignedPose {
+            pose,
+            conditioning: equations.conditioning(SIZE_M),
+            equations,
+        }
+    }
+
+    /// How well the frame in hand fits there.
+    pub fn fit(
+        &self,
+        eye: &Eye,
+        params: &FusionParams,
+        see_through_share: f64,
+        degeneracy: &Degeneracy,
+    ) -> Fit {
+        let AlignedPose {
+            equations,
+            conditioning,
+            ..
+        } = self;
+        let mut fit = Fit {
+            inlier_share: equations.inlier_share(),
+            rmse_m: equations.rmse_m(),
+            conditioning: *conditioning,
+            see_through_share,
+            held_share: degeneracy.least_share,
+            fitness: 0.0,
+        };
+        fit.fitness = gates::fitness(&fit, &eye.frame, &eye.noise, params);
+        fit
+    }
 }

@@ -1,11 +1,12 @@
 //! Where a frame was taken: carried on from the frame before, or from near it, or in the whole model.
 
 use super::align::{Beside, align};
+use super::icp::CastModel;
+use super::model_view::ModelView;
 use super::outcome::{Fit, LossReason};
-use super::raycast::ModelMap;
-use super::steps::OnStep;
+use super::steps::{FusionStep, OnStep};
 use super::track::{MAX_PREDICTION_SECS, STEADY_SECS, Track};
-use super::{Fusion, MODEL_LEVEL, gates, icp, relocalise};
+use super::{Fusion, MODEL_LEVEL, gates, relocalise};
 use crate::geometry::{Motion, Pose, increment_about, motion_between};
 use nalgebra::{Vector3, Vector6};
 
@@ -44,16 +45,22 @@ impl Fusion {
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> Result<(Pose, Option<Fit>), LossReason> {
-        let Some(model) = &self.model else {
+        if let Some((pose, fit)) = self.carry_on(time_secs, on_step) {
+            return Ok((pose, Some(fit)));
+        }
+        if self.look() {
+            on_step(FusionStep::Raycast);
+        }
+        let Some(model) = self.seen.as_ref().map(ModelView::model) else {
             return Ok((Pose::identity(), None));
         };
         // A single frame, with its holes and its noise, is no model to compare poses on.
         let is_single = self.n_fused < 2 || self.keyframes.frames().len() == 1;
         let found = if self.track.is_moving() || self.before == Before::Lost || is_single {
-            self.locate_carried_on(model, time_secs, on_step)
+            self.locate_carried_on(&model, time_secs, on_step)
                 .and_then(|found| self.check(found, time_secs))
         } else {
-            self.locate_round(model, time_secs, on_step)
+            self.locate_round(&model, time_secs, on_step)
         };
         found
             .or_else(|reason| self.confirm(time_secs).ok_or(reason))
@@ -63,7 +70,7 @@ impl Fusion {
     /// Aligns the frame in hand from where its motion carries the camera; if that fails and it had time to, from where it was.
     fn locate_carried_on(
         &self,
-        model: &ModelMap,
+        model: &CastModel,
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> Result<(Pose, Fit), LossReason> {
@@ -86,7 +93,7 @@ impl Fusion {
     /// the frame shows.
     fn locate_round(
         &self,
-        model: &ModelMap,
+        model: &CastModel,
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> Result<(Pose, Fit), LossReason> {
@@ -119,7 +126,7 @@ impl Fusion {
     }
 
     /// Whether frames are missing between the last one and the one in hand, so that the camera may have done anything.
-    fn is_after_gap(&self, time_secs: f64) -> bool {
+    pub(super) fn is_after_gap(&self, time_secs: f64) -> bool {
         time_secs - self.track.time_secs > STEADY_SECS
     }
 
@@ -127,35 +134,40 @@ impl Fusion {
     /// judges the result.
     fn locate(
         &self,
-        model: &ModelMap,
+        model: &CastModel,
         track: &Track,
         guess: &Pose,
         time_secs: f64,
         on_step: &mut OnStep,
     ) -> Result<(Pose, Fit), LossReason> {
         let eye = &self.eye;
-        let model = icp::CastModel {
-            map: model,
-            lens: &eye.level(MODEL_LEVEL).lens,
-            world_from_camera: &track.world_from_camera,
-        };
         let beside = Beside {
             common: self.common.as_ref(),
             infrared: self.infrared.as_ref(),
         };
         let (volume, params) = (&self.fused.volume, &self.params);
-        let (pose, fit) = align(eye, &model, volume, guess, params, beside, on_step)
+        let (pose, fit) = align(eye, model, volume, guess, params, beside, on_step)
             .ok_or(LossReason::FewInliers { inlier_share: 0.0 })?;
         gates::judge_fit(&fit, &eye.frame, &eye.noise, &self.params)?;
-        let motion = motion_between(&track.world_from_camera, &pose);
+        self.judge_motion(track, &pose, time_secs)?;
+        Ok((pose, fit))
+    }
+
+    /// Judges whether the camera of a track can have come to a pose.
+    pub(super) fn judge_motion(
+        &self,
+        track: &Track,
+        pose: &Pose,
+        time_secs: f64,
+    ) -> Result<(), LossReason> {
+        let motion = motion_between(&track.world_from_camera, pose);
         let max_secs = match self.before {
             Before::Tracked => MAX_PREDICTION_SECS,
             Before::Missing | Before::Lost => MAX_INTERRUPTED_SECS,
         };
-        let deviation = track.deviation(&pose, time_secs);
+        let deviation = track.deviation(pose, time_secs);
         let elapsed_secs = (time_secs - track.time_secs).min(max_secs);
-        gates::judge_motion(&motion, &deviation, elapsed_secs, &self.params)?;
-        Ok((pose, fit))
+        gates::judge_motion(&motion, &deviation, elapsed_secs, &self.params)
     }
 
     /// After an interruption or a gap the camera may be elsewhere: a pose is then believed as one that was searched for. Where on the way
@@ -185,8 +197,13 @@ impl Fusion {
     fn confirm(&mut self, time_secs: f64) -> Option<(Pose, Fit)> {
         let (hypothesis, track) = self.hypothesis.take()?;
         let guess = track.predict(time_secs);
+        let model = CastModel {
+            map: &hypothesis.model,
+            lens: &self.eye.level(MODEL_LEVEL).lens,
+            world_from_camera: &track.world_from_camera,
+        };
         let found = self
-            .locate(&hypothesis.model, &track, &guess, time_secs, &mut |_| {})
+            .locate(&model, &track, &guess, time_secs, &mut |_| {})
             .ok()?;
         self.n_relocalised += 1;
         // The new stretch of path is no motion from where tracking was lost.

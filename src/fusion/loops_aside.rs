@@ -105,7 +105,9 @@ impl Fusion {
         }
         let pose = correction.apply(self.track.time_secs, &self.track.world_from_camera);
         self.track.world_from_camera = pose;
-        self.look_from(&pose);
+        if let Some(seen) = &mut self.seen {
+            seen.moved(&pose);
+        }
         Some(closed.closure)
     }
 }

@@ -19,10 +19,12 @@ mod preprocess;
 mod pyramid;
 
 mod align;
+mod carry_on;
 mod degeneracy;
 mod gates;
 mod icp;
 mod infrared;
+mod model_view;
 mod normal_equations;
 mod points;
 mod sdf_alignment;
@@ -101,6 +103,7 @@ use fused_volume::FusedVolume;
 use infrared::Infrared;
 use keyframes::Keyframes;
 use locate::Before;
+use model_view::ModelView;
 use nalgebra::{Point3, Vector3};
 use relocalise::{Hypothesis, Places};
 use revisit::Revisits;
@@ -128,7 +131,8 @@ pub struct Fusion {
     fused: FusedVolume,
     /// Rises when the volume is replaced by another.
     volume_number: usize,
-    model: Option<ModelMap>,
+    /// The model from where the last frame was fused.
+    seen: Option<ModelView>,
     track: Track,
     /// What frames and model have in common, since the camera was found last.
     common: Option<CommonShape>,
@@ -161,7 +165,7 @@ impl Fusion {
             infrared: None,
             fused: FusedVolume::untouched(params.empty_volume()),
             volume_number: 0,
-            model: None,
+            seen: None,
             track: Track::at(Pose::identity(), 0.0),
             common: None,
             n_fused: 0,
@@ -275,9 +279,11 @@ impl Fusion {
         is_near.then_some(pose)
     }
 
-    /// The model as the camera saw it after the last frame that was fused, and not fused anew, at a quarter of the resolution.
-    pub fn model(&self) -> Option<&ModelMap> {
-        self.model.as_ref()
+    /// The model as the camera saw it after the last frame that was fused, and not fused anew, at a quarter of the resolution; cast if it
+    /// was not needed yet, which costs what [`FusionStep::Raycast`] says.
+    pub fn model(&mut self) -> Option<&ModelMap> {
+        self.look();
+        self.seen.as_ref().map(ModelView::map)
     }
 
     /// The frames that were tracked and fused, in order of time; where memory for them is short, some of them, which stand for
@@ -345,20 +351,27 @@ impl Fusion {
         marching_cubes::marching_cubes(self.eye.arch, &self.fused.volume, min_weight)
     }
 
-    /// Fuses the frame in hand at a pose, and looks at the model from there.
+    /// Fuses the frame in hand at a pose, from where the model is seen then.
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         self.take_in(world_from_camera, time_secs, on_step);
-        self.look_from(&world_from_camera);
-        on_step(FusionStep::Raycast);
+        self.stand_at(&world_from_camera);
     }
 
-    /// Looks at the model from a pose.
-    fn look_from(&mut self, world_from_camera: &Pose) {
-        let map = self
-            .model
-            .get_or_insert_with(|| ModelMap::of_level(self.eye.level(MODEL_LEVEL)));
-        self.eye
-            .look(MODEL_LEVEL, &self.fused.volume, world_from_camera, map);
+    /// The model is to be seen from where the frame in hand was fused, or starts.
+    fn stand_at(&mut self, world_from_camera: &Pose) {
+        let level = self.eye.level(MODEL_LEVEL);
+        match &mut self.seen {
+            Some(seen) => seen.move_to(level, world_from_camera),
+            None => self.seen = Some(ModelView::from(level, world_from_camera)),
+        }
+    }
+
+    /// Looks at the model from where it is to be seen, if that has not been done; whether it was.
+    fn look(&mut self) -> bool {
+        let (eye, volume) = (&self.eye, &self.fused.volume);
+        self.seen
+            .as_mut()
+            .is_some_and(|seen| seen.cast(eye, volume))
     }
 
     /// Fuses the frame in hand at a pose.
@@ -380,10 +393,11 @@ impl Fusion {
         self.revisits.visit(&self.track);
         self.keep(None);
         let is_hardly_held = fit.is_none_or(|fit| fit.held_share < HARDLY_HELD_SHARE);
-        if let (Some(infrared), Some(model)) = (&mut self.infrared, &self.model)
-            && is_hardly_held
-        {
-            infrared.remember(self.eye.level(MODEL_LEVEL), model, &self.track);
+        if is_hardly_held && self.infrared.is_some() {
+            self.look();
+            if let (Some(infrared), Some(seen)) = (&mut self.infrared, &self.seen) {
+                infrared.remember(self.eye.level(MODEL_LEVEL), seen.map(), &self.track);
+            }
         }
     }
 

@@ -205,6 +205,11 @@ impl NormalEquations {
         self.jtj / self.weight.max(f64::MIN_POSITIVE)
     }
 
+    /// Share of the points that gave a residual.
+    pub fn inlier_share(&self) -> f64 {
+        self.n_inliers as f64 / self.n_points.max(1) as f64
+    }
+
     /// Weighted root mean square of the residuals, metres.
     pub fn rmse_m(&self) -> f64 {
         (self.weighted_square / self.weight.max(f64::MIN_POSITIVE)).sqrt()

@@ -5,9 +5,9 @@
 //! since each of them is held by its own pose, however often it is fused anew.
 
 use super::{
-    Fit, Fusion, FusionStep, Keyframe, LossReason, MODEL_LEVEL, OnStep, TrackingOutcome,
+    Fit, Fusion, FusionStep, Keyframe, LossReason, OnStep, TrackingOutcome,
     align::{Beside, align},
-    gates, icp,
+    gates,
 };
 use crate::geometry::{Motion, Pose, motion_between};
 use depth_camera::Image;
@@ -87,7 +87,7 @@ impl Fusion {
             return TrackingOutcome::NoDepth;
         }
         let outcome = self.fuse_as_given(time_secs, world_from_camera);
-        self.look_from(world_from_camera);
+        self.stand_at(world_from_camera);
         outcome
     }
 
@@ -127,7 +127,7 @@ impl Fusion {
         };
         let (pose, fit) = self.fuse_polished(time_secs, &near);
         self.keep_polished(fit.as_ref(), world_from_camera);
-        self.look_from(&pose);
+        self.stand_at(&pose);
         TrackingOutcome::Tracked {
             world_from_camera: pose,
             fit,
@@ -210,15 +210,13 @@ impl Fusion {
             reach,
         } = *near;
         // Given views may lie far apart: what the last one saw may not be in this one at all.
-        self.look_from(start);
+        self.stand_at(start);
+        if self.look() {
+            on_step(FusionStep::Raycast);
+        }
         let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
-        let map = self.model.as_ref().ok_or(nothing)?;
-        let model = icp::CastModel {
-            map,
-            lens: &eye.level(MODEL_LEVEL).lens,
-            world_from_camera: start,
-        };
+        let model = self.seen.as_ref().ok_or(nothing)?.model();
         let (pose, fit) = align(
             eye,
             &model,

@@ -3,24 +3,25 @@
 use serde::Serialize;
 
 /// A step of fusing one frame, in the order in which they happen, and what it costs: processor time on one thread in a busy hour, of a frame of
-/// `relief-k2` at 2 mm and of the desk at 5 mm with depth to 3 m, where a whole frame takes 9.9 and 9.6 ms (29 November).
+/// `relief-k2` at 2 mm and of the desk at 5 mm with depth to 3 m, where a whole frame takes 7.3 and 7.6 ms (30 November).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FusionStep {
-    /// Clipping, pyramid, normals: 0.6 and 0.8 ms, by the pixels of the image.
+    /// Clipping, pyramid, normals: 0.6 and 0.9 ms, by the pixels of the image.
     Preprocess,
-    /// Alignment to the raycast model: 0.7 and 0.9 ms, by iterations over the images reduced by 8 and 4.
+    /// Casting the model from where the last frame was fused: 2.7 and 4.4 ms, by the pixels of the image reduced by 4 and by the steps of their rays.
+    /// Only for a frame that does not lie where the camera's motion leads.
+    Raycast,
+    /// Alignment to the raycast model, for such a frame: 1.2 and 1.1 ms, by iterations over the images reduced by 8 and 4.
     Icp,
-    /// Alignment to the signed distances: 1.7 and 1.7 ms, likewise; most of it is reading voxels.
+    /// Alignment to the signed distances: 1.9 and 2.0 ms, likewise; most of it is reading voxels.
     SdfAlignment,
     /// Comparing the frame's shape with the model's ([`Fit::held_share`](super::Fit::held_share)), finding the blocks in the truncation
-    /// band and allocating new ones: 1.2 and 1.1 ms, by the surface in view in blocks.
+    /// band and allocating new ones: 1.2 and 1.2 ms, by the surface in view in blocks.
     Allocate,
-    /// Updating the voxels of these blocks: 2.7 and 1.5 ms, by how many of them have their turn; four times as many with voxels half as large.
+    /// Updating the voxels of these blocks: 2.9 and 1.7 ms, by how many of them have their turn; four times as many with voxels half as large.
     Integrate,
-    /// Casting the model for the next frame: 2.3 and 2.9 ms, by the pixels of the image reduced by 4 and by the steps of their rays.
-    Raycast,
-    /// Keeping the frame for closing loops and its place for finding back: 0.4 and 0.6 ms, by the pixels of the image.
+    /// Keeping the frame for closing loops and its place for finding back: 0.5 and 0.7 ms, by the pixels of the image.
     Remember,
 }
 
@@ -28,11 +29,11 @@ impl FusionStep {
     /// All steps, in order.
     pub const ALL: [FusionStep; 7] = [
         FusionStep::Preprocess,
+        FusionStep::Raycast,
         FusionStep::Icp,
         FusionStep::SdfAlignment,
         FusionStep::Allocate,
         FusionStep::Integrate,
-        FusionStep::Raycast,
         FusionStep::Remember,
     ];
 }

@@ -49,7 +49,7 @@ impl Fusion {
     /// Stands where the last frame that is left was taken, and looks at the model from there.
     fn look_from_last(&mut self) {
         let Some(last) = self.keyframes.frames().last() else {
-            self.model = None;
+            self.seen = None;
             (self.n_fused, self.stretch) = (0, 0);
             self.track = Track::at(Pose::identity(), 0.0);
             self.before = Before::Tracked;
@@ -57,7 +57,7 @@ impl Fusion {
         };
         let (pose, time_secs) = (last.world_from_camera, last.time_secs);
         self.eye.take_kept(&last.depth_m(), last.n_frames);
-        self.look_from(&pose);
+        self.stand_at(&pose);
         self.track = Track::at(pose, time_secs);
     }
 }

@@ -112,7 +112,8 @@ pub struct TrackedFrame<'a> {
     pub frame: &'a Frame,
     /// Whether its pose is known.
     pub outcome: &'a TrackingOutcome,
-    /// The model as seen after this frame was fused, world frame; its pixels are whole multiples of the frame's.
+    /// The model as seen after this frame was fused, world frame, where [`SnapshotSelector::needs_model`] says so; its pixels are whole
+    /// multiples of the frame's.
     pub model: Option<&'a ModelMap>,
 }
 
@@ -236,6 +237,11 @@ impl SnapshotSelector {
             Method::Sequence(sequence) => sequence.observe(tracked, &mut self.candidates),
             Method::Stream(stream) => stream.observe(tracked, &mut self.candidates),
         }
+    }
+
+    /// Whether it looks at the model for a frame: for one with infrared where every tracked frame is a candidate.
+    pub fn needs_model(&self, frame: &Frame) -> bool {
+        matches!(self.method, Method::Stream(_)) && frame.ir.is_some()
     }
 
     /// How many shading images there are so far, at most `max_snapshots`; [`Self::finish`] may keep fewer.

@@ -15,7 +15,7 @@ pub(super) struct Measured {
     pub(super) frames: Frames,
     /// Median processor time of what is taken off a frame's depth before it is tracked, not among its steps; 0 where that is nothing.
     pub(super) depth_correction_cpu_ms: f64,
-    /// Median processor time of each step, all threads together.
+    /// Processor time of each step of tracked frames, all threads together.
     pub(super) cpu_ms: Vec<StepTime>,
     #[serde(flatten)]
     pub(super) frame: FrameTime,
@@ -43,8 +43,12 @@ pub(super) struct Frames {
 #[derive(Serialize)]
 pub(super) struct StepTime {
     pub(super) step: FusionStep,
-    /// `None` where no frame took it.
+    /// Frames that took it.
+    pub(super) n_frames: usize,
+    /// Median over these; `None` where there are none.
     pub(super) median_ms: Option<f64>,
+    /// Mean over all frames.
+    pub(super) mean_ms: f64,
 }
 
 /// What a whole frame takes that is tracked; `None` where none was.
@@ -52,6 +56,8 @@ pub(super) struct StepTime {
 pub(super) struct FrameTime {
     /// Median processor time, all threads together.
     pub(super) frame_cpu_ms: Option<f64>,
+    /// Its mean.
+    pub(super) frame_mean_cpu_ms: Option<f64>,
     /// Median wall time.
     pub(super) frame_wall_ms: Option<f64>,
     /// Frames a second that this wall time allows.
@@ -108,7 +114,7 @@ impl Measured {
         )?;
         writeln!(
             Stdout,
-            "processor time a frame, all threads together, median ms:"
+            "processor time a frame, all threads together, ms: median of those that take a step, mean of all"
         )?;
         writeln!(
             Stdout,
@@ -117,12 +123,13 @@ impl Measured {
         )?;
         for time in &self.cpu_ms {
             if let Some(median_ms) = time.median_ms {
-                writeln!(Stdout, "  {:<14}{median_ms:>8.2}", in_words(time.step))?;
+                let (step, mean_ms) = (in_words(time.step), time.mean_ms);
+                writeln!(Stdout, "  {step:<14}{median_ms:>8.2}{mean_ms:>8.2}")?;
             }
         }
         let frame = &self.frame;
-        if let Some(cpu_ms) = frame.frame_cpu_ms {
-            writeln!(Stdout, "  {:<14}{cpu_ms:>8.2}", "frame")?;
+        if let (Some(median_ms), Some(mean_ms)) = (frame.frame_cpu_ms, frame.frame_mean_cpu_ms) {
+            writeln!(Stdout, "  {:<14}{median_ms:>8.2}{mean_ms:>8.2}", "frame")?;
         }
         if let (Some(wall_ms), Some(fps)) = (frame.frame_wall_ms, frame.fps) {
             writeln!(

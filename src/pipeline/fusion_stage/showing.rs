@@ -160,15 +160,17 @@ impl FusionStage {
         }
     }
 
-    fn show_next_view(&self) {
+    fn show_next_view(&mut self) {
         let slot = &self.showing.live.next_view;
         if !slot.is_due(BETWEEN_PATHS) {
             return;
         }
-        let view = || {
+        let (pool, fusion) = (&self.pool, &mut self.fusion);
+        let mut view = || {
             let (_, pose) = self.trajectory.last()?;
             let selector = self.selector.as_ref()?;
-            let viewpoint = selector.next_viewpoint(self.fusion.model()?, pose)?;
+            let model = pool.install(|| fusion.model())?;
+            let viewpoint = selector.next_viewpoint(model, pose)?;
             Some(next_view::told(&viewpoint, pose))
         };
         let is_lost = self.summary.losses.is_lost();

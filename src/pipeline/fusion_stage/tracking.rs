@@ -111,16 +111,22 @@ impl FusionStage {
         let Some(selector) = &mut self.selector else {
             return;
         };
-        let tracked = TrackedFrame {
-            frame,
-            outcome,
-            model: self.fusion.model(),
-        };
         let (n_before, was_requested) = (selector.n_accepted(), selector.is_requested());
         let n_revoked = selector.n_revoked();
-        let pool = &self.pool;
-        self.selection_clock
-            .time(|| pool.install(|| selector.observe(&tracked)));
+        let (pool, fusion) = (&self.pool, &mut self.fusion);
+        self.selection_clock.time(|| {
+            pool.install(|| {
+                let model = match selector.needs_model(frame) {
+                    true => fusion.model(),
+                    false => None,
+                };
+                selector.observe(&TrackedFrame {
+                    frame,
+                    outcome,
+                    model,
+                });
+            });
+        });
         let n_snapshots = selector.n_accepted();
         let is_granted = was_requested && !selector.is_requested();
         // A lit pose in place of an unlit one leaves the number as it was.

@@ -1,0 +1,188 @@
+//! A frame that lies where the camera's motion leads: from there the distances alone tell its pose.
+//!
+//! Most frames do. What comes before, a cast of the model and alignment to that, is for those that do not: it reaches farther, and by it
+//! is told what the camera would look through. A frame is carried on only if nearly all of its points lie on the model where the motion
+//! leads and where they end, so that hardly any can lie behind it, and if the shape of what is seen holds the camera; else the frame is
+//! located as if this had not been tried.
+
+use super::align::AlignedPose;
+use super::degeneracy::{Degeneracy, HARDLY_HELD_SHARE};
+use super::locate::Before;
+use super::outcome::Fit;
+use super::pyramid::N_REDUCED;
+use super::sdf_alignment::{self, Slopes};
+use super::steps::{FusionStep, OnStep};
+use super::{Fusion, gates};
+use crate::geometry::{Motion, Pose, motion_between};
+
+/// Share of a frame's points on the model from which on what it may look through lowers its fitness by nothing.
+const NEARLY_ALL: f64 = 0.925;
+/// What a frame may deviate from where the motion leads: as far as distances surely reach. Arbitrary, half of the desk's frames deviate by
+/// less than 6 mrad and 3 mm.
+const STEADY: Motion = Motion {
+    rotation_rad: 0.01,
+    translation_m: 0.005,
+};
+/// A model of fewer frames is young: its distances are noisy.
+const GROWN_FRAMES: usize = 8;
+/// Steps on the coarsest level by the frame's own normals, before those by the gradients of the distances.
+const FIRST_STEPS: usize = 2;
+
+impl Fusion {
+    /// Where the frame in hand was taken, if that is where the motion of the camera leads; with how well it fits.
+    pub(super) fn carry_on(&self, time_secs: f64, on_step: &mut OnStep) -> Option<(Pose, Fit)> {
+        let is_on_its_way = self.before == Before::Tracked
+            && self.track.is_moving()
+            && !self.is_after_gap(time_secs)
+            && self.n_fused >= GROWN_FRAMES;
+        let found = is_on_its_way.then(|| self.on_the_way(time_secs)).flatten();
+        if is_on_its_way {
+            on_step(FusionStep::SdfAlignment);
+        }
+        found
+    }
+
+    fn on_the_way(&self, time_secs: f64) -> Option<(Pose, Fit)> {
+        let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
+        let (arch, noise, levels) = (eye.arch, &eye.noise, &eye.frame.reduced);
+        let predicted = self.track.predict(time_secs);
+        let mut start = predicted;
+        for _ in 0..FIRST_STEPS {
+            let coarsest = &levels[N_REDUCED - 1];
+            let slopes = Slopes::Frame;
+            let equations = sdf_alignment::equations(arch, coarsest, volume, &start, noise, slopes);
+            if equations.inlier_share() < NEARLY_ALL {
+                return None;
+            }
+            start = equations.solve(&start.translation.vector)? * start;
+        }
+        let iterations = params.icp.sdf_iterations;
+        let (pose, equations) =
+            sdf_alignment::align(arch, levels, volume, &start, noise, iterations)?;
+        let looked_through_at_most = 1.0 - equations.inlier_share();
+        let degeneracy = Degeneracy::of(eye, self.common.as_ref(), &pose)?;
+        let aligned = AlignedPose::new(pose, equations);
+        let fit = aligned.fit(eye, params, looked_through_at_most, &degeneracy);
+        let is_sure = fit.inlier_share >= NEARLY_ALL
+            && fit.held_share >= HARDLY_HELD_SHARE
+            && motion_between(&predicted, &pose).is_within(&STEADY)
+            && gates::judge_fit(&fit, &eye.frame, noise, params).is_ok()
+            && self.judge_motion(&self.track, &pose, time_secs).is_ok();
+        is_sure.then_some((pose, fit))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::tests::small_params;
+    use crate::fusion::{DepthNoise, TrackingOutcome};
+    use crate::geometry::{CameraModel, increment};
+    use depth_camera::{DepthCamera, Frame, Sensor};
+    use nalgebra::{Point3, Vector6};
+    use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
+    use std::time::Duration;
+
+    /// Frames of three crates that lie about on a table, where each was taken from, by the first, and their camera.
+    fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
+        let table = Shape::Table {
+            half_size: [0.5, 0.5],
+        };
+        let crate_of = |size: f64, place: [f64; 3], turn: [f64; 3]| {
+            let shape = Shape::RoundedBox {
+                half_size: [size, 0.7 * size, 0.9 * size],
+                radius: 0.004,
+            };
+            let [x, y, z] = place;
+            let [a, b, c] = turn;
+            Solid::new(shape, increment(&Vector6::new(a, b, c, x, y, z)), 0.6)
+        };
+        let solids = vec![
+            Solid::new(table, Pose::identity(), 0.5),
+            crate_of(0.06, [0.0, 0.0, 0.05], [0.3, 0.1, 0.4]),
+            crate_of(0.05, [-0.14, -0.03, 0.05], [-0.2, 0.5, -0.6]),
+            crate_of(0.07, [0.13, 0.05, 0.06], [0.5, -0.3, 1.0]),
+        ];
+        let mut camera = SimulatedCamera::new(Setup {
+            scene: Scene::new(solids, 1),
+            trajectory: Trajectory::hand_held(Point3::new(0.0, 0.0, 0.05), n_frames),
+            sensor: Sensor::Kinect2,
+            infrared: Infrared::of_sensor(Sensor::Kinect2),
+            n_moving_frames: n_frames,
+            shading_frames: Vec::new(),
+            reduction: 1,
+            seed: 5,
+        })
+        .expect("full size");
+        let model = CameraModel::new(camera.info().intrinsics);
+        let first_from_table = camera.true_world_from_camera(0).inverse();
+        let truth = (0..n_frames)
+            .map(|frame| first_from_table * camera.true_world_from_camera(frame))
+            .collect();
+        let grab = |_| camera.grab(Duration::ZERO).expect("no errors");
+        let frames = (0..n_frames).map(grab);
+        let frames = frames.map(|frame| frame.expect("as many as asked for"));
+        (frames.collect(), truth, model)
+    }
+
+    fn fusion(camera: CameraModel) -> Fusion {
+        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
+        Fusion::new(camera, noise, small_params())
+    }
+
+    /// Where a frame is found to have been taken, and whether the model was cast for it.
+    fn fuse(fusion: &mut Fusion, frame: &Frame) -> (Pose, bool) {
+        let depth = frame.depth.as_ref().expect("Kinect II");
+        let mut casts = false;
+        let outcome = fusion.fuse_observed(depth, frame.device_time_secs, &mut |step| {
+            casts |= step == FusionStep::Raycast;
+        });
+        match outcome {
+            TrackingOutcome::Tracked {
+                world_from_camera, ..
+            } => (world_from_camera, casts),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_camera_that_goes_on_needs_no_cast_and_one_that_turns_off_does() {
+        let (seen, truth, camera) = frames(20);
+        let mut fusion = fusion(camera);
+        let found: Vec<(Pose, bool)> = seen.iter().map(|frame| fuse(&mut fusion, frame)).collect();
+        let (young, grown) = found.split_at(GROWN_FRAMES);
+        assert!(young[1..].iter().all(|(_, casts)| *casts));
+        assert!(grown.iter().all(|(_, casts)| !casts), "{grown:?}");
+        for (k, ((pose, _), truth)) in found.iter().zip(&truth).enumerate() {
+            let off = motion_between(pose, truth);
+            assert!(off.translation_m < 0.004, "{k}: {off:?}");
+        }
+        // Back where it was the frame before.
+        let mut back = seen[18].clone();
+        back.device_time_secs = seen[19].device_time_secs + 1.0 / 30.0;
+        let (pose, casts) = fuse(&mut fusion, &back);
+        assert!(casts);
+        let off = motion_between(&pose, &truth[18]);
+        assert!(off.translation_m < 0.004, "{off:?}");
+    }
+
+    #[test]
+    fn whether_somebody_looked_at_the_model_before_changes_nothing() {
+        let (seen, _, camera) = frames(14);
+        let mut unseen = fusion(camera);
+        for frame in &seen[..13] {
+            fuse(&mut unseen, frame);
+        }
+        let mut looked_at = unseen.clone();
+        let map = looked_at.model().expect("frames were fused").clone();
+        assert!(map.normals.data().iter().any(|normal| normal.norm() > 0.9));
+        // Too late for where the motion leads: the model is needed, and cast, if nobody has asked for it, with another frame in hand.
+        let mut late = seen[13].clone();
+        late.device_time_secs += 0.1;
+        let (by_then, casts) = fuse(&mut unseen, &late);
+        assert!(casts);
+        let (before, casts) = fuse(&mut looked_at, &late);
+        assert!(!casts, "it was");
+        assert_eq!(by_then, before);
+    }
+}
