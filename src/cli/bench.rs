@@ -259,7 +259,7 @@ impl Run {
                 StepTime {
                     step,
                     n_frames: of_step.len(),
-                    mean_ms: mean(of_step, self.frames.tracked).unwrap_or(0.0),
+                    mean_ms: mean(of_step, self.frames.tracked),
                     median_ms: robust::median(of_step),
                 }
             })

@@ -2,8 +2,8 @@
 //!
 //! Most frames do. What comes before, a cast of the model and alignment to that, is for those that do not: it reaches farther, and by it
 //! is told what the camera would look through. A frame is carried on only if nearly all of its points lie on the model where the motion
-//! leads and where they end, so that hardly any can lie behind it, and if the shape of what is seen holds the camera; else the frame is
-//! located as if this had not been tried.
+//! leads and where they end, and if the shape of what is seen holds the camera; else the frame is located as if this had not been tried.
+//! What a thing that is taken away uncovers lies on the model too, if it was seen from elsewhere: such a frame is in its place, and fused.
 
 use super::align::AlignedPose;
 use super::degeneracy::{Degeneracy, HARDLY_HELD_SHARE};
@@ -13,9 +13,10 @@ use super::pyramid::N_REDUCED;
 use super::sdf_alignment::{self, Slopes};
 use super::steps::{FusionStep, OnStep};
 use super::{Fusion, gates};
-use crate::geometry::{Motion, Pose, motion_between};
+use crate::geometry::{Motion, Pose};
 
-/// Share of a frame's points on the model from which on what it may look through lowers its fitness by nothing.
+/// Share of a frame's points that lie on the model. By the default of `max_see_through_share` what does not would, looked through,
+/// lower the fitness by nothing.
 const NEARLY_ALL: f64 = 0.925;
 /// What a frame may deviate from where the motion leads: as far as distances surely reach. Arbitrary, half of the desk's frames deviate by
 /// less than 6 mrad and 3 mm.
@@ -23,7 +24,7 @@ const STEADY: Motion = Motion {
     rotation_rad: 0.01,
     translation_m: 0.005,
 };
-/// A model of fewer frames is young: its distances are noisy.
+/// A model of fewer frames is young, its distances noisy; counted since the camera was found last, or frames were taken back.
 const GROWN_FRAMES: usize = 8;
 /// Steps on the coarsest level by the frame's own normals, before those by the gradients of the distances.
 const FIRST_STEPS: usize = 2;
@@ -34,7 +35,7 @@ impl Fusion {
         let is_on_its_way = self.before == Before::Tracked
             && self.track.is_moving()
             && !self.is_after_gap(time_secs)
-            && self.n_fused >= GROWN_FRAMES;
+            && self.n_fused.saturating_sub(self.stretch) >= GROWN_FRAMES;
         let found = is_on_its_way.then(|| self.on_the_way(time_secs)).flatten();
         if is_on_its_way {
             on_step(FusionStep::SdfAlignment);
@@ -42,33 +43,44 @@ impl Fusion {
         found
     }
 
+    // A symbol of its own, by which tests/bench/instructions.sh counts.
+    #[inline(never)]
     fn on_the_way(&self, time_secs: f64) -> Option<(Pose, Fit)> {
         let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let (arch, noise, levels) = (eye.arch, &eye.noise, &eye.frame.reduced);
-        let predicted = self.track.predict(time_secs);
-        let mut start = predicted;
-        for _ in 0..FIRST_STEPS {
-            let coarsest = &levels[N_REDUCED - 1];
-            let slopes = Slopes::Frame;
-            let equations = sdf_alignment::equations(arch, coarsest, volume, &start, noise, slopes);
-            if equations.inlier_share() < NEARLY_ALL {
-                return None;
-            }
-            start = equations.solve(&start.translation.vector)? * start;
-        }
+        let start = self.first_steps(time_secs)?;
         let iterations = params.icp.sdf_iterations;
         let (pose, equations) =
             sdf_alignment::align(arch, levels, volume, &start, noise, iterations)?;
-        let looked_through_at_most = 1.0 - equations.inlier_share();
+        let deviation = self.track.deviation(&pose, time_secs);
+        if equations.inlier_share() < NEARLY_ALL || !deviation.is_within(&STEADY) {
+            return None;
+        }
+        let share_beside = 1.0 - equations.inlier_share();
         let degeneracy = Degeneracy::of(eye, self.common.as_ref(), &pose)?;
         let aligned = AlignedPose::new(pose, equations);
-        let fit = aligned.fit(eye, params, looked_through_at_most, &degeneracy);
-        let is_sure = fit.inlier_share >= NEARLY_ALL
-            && fit.held_share >= HARDLY_HELD_SHARE
-            && motion_between(&predicted, &pose).is_within(&STEADY)
+        let fit = aligned.fit(eye, params, share_beside, &degeneracy);
+        let is_believed = fit.held_share >= HARDLY_HELD_SHARE
             && gates::judge_fit(&fit, &eye.frame, noise, params).is_ok()
             && self.judge_motion(&self.track, &pose, time_secs).is_ok();
-        is_sure.then_some((pose, fit))
+        is_believed.then_some((pose, fit))
+    }
+
+    /// From where the motion leads towards the model, if the frame lies on it there.
+    fn first_steps(&self, time_secs: f64) -> Option<Pose> {
+        let (eye, volume) = (&self.eye, &self.fused.volume);
+        let coarsest = &eye.frame.reduced[N_REDUCED - 1];
+        let mut pose = self.track.predict(time_secs);
+        for _ in 0..FIRST_STEPS {
+            let slopes = Slopes::Frame;
+            let equations =
+                sdf_alignment::equations(eye.arch, coarsest, volume, &pose, &eye.noise, slopes);
+            if equations.inlier_share() < NEARLY_ALL {
+                return None;
+            }
+            pose = equations.solve(&pose.translation.vector)? * pose;
+        }
+        Some(pose)
     }
 }
 
@@ -77,7 +89,7 @@ mod tests {
     use super::*;
     use crate::fusion::tests::small_params;
     use crate::fusion::{DepthNoise, TrackingOutcome};
-    use crate::geometry::{CameraModel, increment};
+    use crate::geometry::{CameraModel, increment, motion_between};
     use depth_camera::{DepthCamera, Frame, Sensor};
     use nalgebra::{Point3, Vector6};
     use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};

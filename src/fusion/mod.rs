@@ -403,6 +403,9 @@ impl Fusion {
 
     fn replace_volume(&mut self, fused: FusedVolume) {
         self.fused = fused;
+        if let Some(seen) = &mut self.seen {
+            seen.moved(&self.track.world_from_camera);
+        }
         self.is_outdated = false;
         self.volume_number += 1;
     }

@@ -1,7 +1,7 @@
 //! The model as the camera sees it from where the last frame was fused, cast when it is asked for.
 //!
 //! A frame that lies where the motion of the camera leads needs no view of the model ([`carry_on`](super::carry_on)), and casting one
-//! is a fourth of what a frame costs.
+//! costs more than a third of what all else of such a frame does.
 
 use super::eye::Eye;
 use super::icp::CastModel;

@@ -13,8 +13,8 @@ pub struct Fit {
     pub rmse_m: f64,
     /// Smallest over largest eigenvalue of the normal equations: near zero the geometry lets the camera slide.
     pub conditioning: f64,
-    /// Share of the frame's points that lie behind a surface of the model: the camera would look through it. Where the frame lies so surely
-    /// that the model was not cast, all that are not on it.
+    /// Share of the frame's points that lie behind a surface of the model: the camera would look through it. Where nearly all of the frame
+    /// lay on the model, which was not cast then, the share of those that do not.
     pub see_through_share: f64,
     /// How firmly the geometry holds the motion that it holds least, angles scaled by the size of what is seen: mean square
     /// share of that motion that the distances show, by the frame's own normals or by what the last ten had in common with the

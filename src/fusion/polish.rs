@@ -211,9 +211,7 @@ impl Fusion {
         } = *near;
         // Given views may lie far apart: what the last one saw may not be in this one at all.
         self.stand_at(start);
-        if self.look() {
-            on_step(FusionStep::Raycast);
-        }
+        self.look();
         let (eye, volume, params) = (&self.eye, &self.fused.volume, &self.params);
         let nothing = LossReason::FewInliers { inlier_share: 0.0 };
         let model = self.seen.as_ref().ok_or(nothing)?.model();

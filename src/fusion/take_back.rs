@@ -38,7 +38,7 @@ impl Fusion {
             .fuse_again(frames, &nowhere, &self.eye, &|| step.goes_on());
         self.stretch = self.n_fused;
         self.interrupt();
-        self.look_from_last();
+        self.stand_at_last();
         true
     }
 
@@ -46,8 +46,8 @@ impl Fusion {
         self.keyframes.frames().len() - self.keyframes.after(after_secs).len()
     }
 
-    /// Stands where the last frame that is left was taken, and looks at the model from there.
-    fn look_from_last(&mut self) {
+    /// Stands where the last frame that is left was taken.
+    fn stand_at_last(&mut self) {
         let Some(last) = self.keyframes.frames().last() else {
             self.seen = None;
             (self.n_fused, self.stretch) = (0, 0);

@@ -239,9 +239,13 @@ impl SnapshotSelector {
         }
     }
 
-    /// Whether it looks at the model for a frame: for one with infrared where every tracked frame is a candidate.
+    /// Whether it looks at the model for the next frame: at each with infrared where every tracked frame is a candidate, at the one after
+    /// the exposures of a pose where there are such.
     pub fn needs_model(&self, frame: &Frame) -> bool {
-        matches!(self.method, Method::Stream(_)) && frame.ir.is_some()
+        match &self.method {
+            Method::Sequence(sequence) => sequence.is_exposing(),
+            Method::Stream(_) => frame.ir.is_some(),
+        }
     }
 
     /// How many shading images there are so far, at most `max_snapshots`; [`Self::finish`] may keep fewer.

@@ -16,7 +16,7 @@ count() {
         "$program" bench "$session" --threads 1 2>&1 >/dev/null | awk '/Collected/ { print $4 }'
 }
 
-for kernel in icp::align sdf_alignment::align integrate::integrate raycast::raycast; do
+for kernel in 'carry_on::*::on_the_way' icp::align sdf_alignment::align integrate::integrate raycast::raycast; do
     count "$kernel" | awk -v kernel="$kernel" -v frames="$frames" \
         '{ printf "%-32s %8.2f million a frame\n", kernel, $1 / frames / 1e6 }'
 done

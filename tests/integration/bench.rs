@@ -38,6 +38,7 @@ fn every_step_is_timed_and_the_path_scored_where_it_is_known() {
     );
     assert_eq!(measured["frames"]["tracked"], 3);
     assert_eq!(measured["threads"], 1);
+    assert_eq!(measured["cpu_ms"][0]["n_frames"], 3);
     // What is not in a step is the clock's.
     let steps = measured["cpu_ms"].as_array().unwrap().iter();
     let of_steps: f64 = steps.map(|time| time["mean_ms"].as_f64().unwrap()).sum();

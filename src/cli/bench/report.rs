@@ -47,8 +47,8 @@ pub(super) struct StepTime {
     pub(super) n_frames: usize,
     /// Median over these; `None` where there are none.
     pub(super) median_ms: Option<f64>,
-    /// Mean over all frames.
-    pub(super) mean_ms: f64,
+    /// Mean over all tracked frames; `None` where there are none.
+    pub(super) mean_ms: Option<f64>,
 }
 
 /// What a whole frame takes that is tracked; `None` where none was.
@@ -122,8 +122,8 @@ impl Measured {
             "depth correction", self.depth_correction_cpu_ms
         )?;
         for time in &self.cpu_ms {
-            if let Some(median_ms) = time.median_ms {
-                let (step, mean_ms) = (in_words(time.step), time.mean_ms);
+            if let (Some(median_ms), Some(mean_ms)) = (time.median_ms, time.mean_ms) {
+                let step = in_words(time.step);
                 writeln!(Stdout, "  {step:<14}{median_ms:>8.2}{mean_ms:>8.2}")?;
             }
         }

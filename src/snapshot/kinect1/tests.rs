@@ -405,6 +405,22 @@ fn exposures_and_groups_beyond_the_limits_do_not_pile_up() {
 }
 
 #[test]
+fn the_model_is_needed_from_the_first_exposure_to_the_frame_after() {
+    use Shows::*;
+    let info = scenes::camera_info(Sensor::Kinect1);
+    let mut selector = SnapshotSelector::new(&info, SnapshotParams::default()).unwrap();
+    let next = scenes::frame(0, 0.0, None, None);
+    let sequence = [Depth(0.0), Lamp(300), Lamp(300), Depth(0.0), Depth(0.0)];
+    let needed = sequence.iter().zip(0..).map(|(shows, frame_id)| {
+        let needs_model = selector.needs_model(&next);
+        observe(&mut selector, frame_id, *shows);
+        needs_model
+    });
+    let needed: Vec<bool> = needed.collect();
+    assert_eq!(needed, [false, false, true, true, false]);
+}
+
+#[test]
 fn a_simulated_scan_gives_an_image_at_each_shading_pose() {
     let scene = Scene::plaque();
     let (low, high) = scene.object_bounds();

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """An inverse renderer, Mitsuba 3, on the problem that refinement solves: per-vertex displacements from shading images.
 
-    inverse_rendering.py INPUTS OUT.ply [--epochs N] [--rate R] [--samples N]
+    inverse_rendering.py INPUTS OUT.ply [--epochs N] [--rate R] [--samples N] [--stay MM]
 
 INPUTS is the folder that the example `peer_inputs` writes: the remeshed base surface, from which both start, and what Relief came
 to know of every view, so that the peer has its poses, gains and albedos for nothing. The surface is displaced along its normals by
@@ -25,6 +25,7 @@ mi.set_variant("llvm_ad_rgb")
 MITSUBA_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Smoothness of the preconditioner, in Laplacians of the mesh.
 LARGE_STEPS = 10.0
+UNEXPLAINED = 0.026
 
 
 def pinhole_coordinates(camera):
@@ -87,6 +88,7 @@ def main():
     parser.add_argument("--epochs", type=int, default=20)
     parser.add_argument("--rate", type=float, default=8e-3, help="of Adam, millimetres")
     parser.add_argument("--samples", type=int, default=4, help="rays a pixel")
+    parser.add_argument("--stay", type=float, help="deviation of displacements, millimetres, by a prior that holds them; none without")
     args = parser.parse_args()
     views = json.loads((args.inputs / "views.json").read_text())
     albedo = np.fromfile(args.inputs / "albedo.f32", "<f4")
@@ -111,6 +113,10 @@ def main():
     all_views = [View(number, args.inputs, views, coordinates, scene, base) for number in range(len(views["world_from_cameras"]))]
     all_views = [view for view in all_views if view.n_usable > 100]
 
+    # A residual's deviation: what the light model leaves unexplained on these scans, as a share of the mean intensity.
+    intensities = [float(dr.sum(view.target, axis=None).array[0]) / view.n_usable for view in all_views]
+    variance = (UNEXPLAINED * np.mean(intensities)) ** 2
+
     start = time.process_time()
     base_points, base_normals = mi.Point3f(base.T.astype(np.float32)), mi.Vector3f(normals.T.astype(np.float32))
     large_steps = mi.ad.LargeSteps(params[name], params[name.replace("vertex_positions", "faces")], LARGE_STEPS)
@@ -131,9 +137,13 @@ def main():
             image = mi.render(scene, params, sensor=view.sensor, spp=args.samples, seed=seed)
             error = (image - view.target) * view.usable
             loss = dr.sum(dr.square(error), axis=None) / view.n_usable
+            misfit = loss
+            if args.stay:
+                held = dr.sum(dr.square(displacement_m * (1e3 / args.stay)))
+                loss = loss + held * (variance / (view.n_usable * len(all_views)))
             dr.backward(loss)
             adam.step()
-            total += float(loss.array[0])
+            total += float(misfit.array[0])
         print(f"epoch {epoch + 1}: mean square {total / len(all_views):.3e}, {time.process_time() - start:.0f} s processor", flush=True)
     moved = dr.unravel(mi.Vector3f, large_steps.from_differential(adam["u"]))
     params[name] = dr.ravel(base_points + base_normals * ((moved.x + moved.y + moved.z) / 3 * 1e-3))
