@@ -6,7 +6,7 @@
 This is scoring: it alone reads the session's first measured pose and its surface, which it writes as a mesh for `--truth`. SCAN is an
 output folder of the session, OUT a new folder: the scan is refined anew, and its base mesh and that are evaluated, and scored. A line for
 each figure of either mesh, both figures and how far one is from the other; it ends with 1 where that is more than 2 %. The script takes points
-by chance, of which one set has its detail up to 5 % from another's: what is compared with is the mean of several."""
+by chance, and its detail scatters by up to 3 %: what is compared with is the mean of several."""
 import argparse
 import json
 import pathlib
