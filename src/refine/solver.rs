@@ -219,8 +219,64 @@ fn hold_back_flips(surface: &Surface, step: &mut [f64]) {
         }
         has_changed.fill(false);
         for &vertex in turned.into_iter().flatten() {
-            step[vertex as usize] *= 0.5;
             has_changed[vertex as usize] = true;
         }
+        // Once each, however many of its faces turn.
+        for (step, has_changed) in step.iter_mut().zip(&has_changed) {
+            if *has_changed {
+                *step *= 0.5;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::TriMesh;
+    use nalgebra::Point3;
+
+    const SIDE: usize = 7;
+
+    /// A square of 7 × 7 vertices, 1 mm apart.
+    fn square() -> Surface {
+        let at = |vertex: usize| Point3::new((vertex % SIDE) as f64, (vertex / SIDE) as f64, 0.0);
+        let cells = (0..SIDE * (SIDE - 1)).filter(|vertex| vertex % SIDE + 1 < SIDE);
+        let faces = cells.flat_map(|vertex| {
+            let [a, b] = [vertex, vertex + 1].map(|corner| corner as u32);
+            let [c, d] = [a, b].map(|corner| corner + SIDE as u32);
+            [[a, b, c], [c, b, d]]
+        });
+        Surface::of_base(&TriMesh {
+            vertices: (0..SIDE * SIDE).map(|vertex| at(vertex) * 1e-3).collect(),
+            faces: faces.collect(),
+        })
+    }
+
+    /// The farthest that a face turns, radians.
+    fn farthest_turn(surface: &Surface, step_m: &[f64]) -> f64 {
+        let moved = surface.displaced(step_m).mesh;
+        let turn = |face| {
+            moved
+                .face_normal(face)
+                .angle(&surface.mesh.face_normal(face))
+        };
+        (0..moved.faces.len()).map(turn).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_step_that_would_turn_faces_over_is_shortened_at_their_corners_alone() {
+        let surface = square();
+        let (corner, middle) = (0, SIDE * SIDE / 2);
+        let mut step = vec![0.0; SIDE * SIDE];
+        (step[corner], step[middle]) = (4e-4, 5e-3);
+        assert!(farthest_turn(&surface, &step) > 80_f64.to_radians());
+        hold_back_flips(&surface, &mut step);
+        assert!(farthest_turn(&surface, &step) <= 60_f64.to_radians());
+        // 60° are 1.22 mm of the middle: the first half of a half of 5 mm below that is taken.
+        assert_eq!((step[corner], step[middle]), (4e-4, 5e-3 / 8.0));
+        let held = step.clone();
+        hold_back_flips(&surface, &mut step);
+        assert_eq!(step, held, "nothing is left to hold back");
     }
 }
