@@ -64,7 +64,7 @@ pub fn bench(args: &BenchArgs) -> anyhow::Result<Verdict> {
         depth_max_m: config.fusion.depth_max_m,
         threads: n_threads.get(),
         depth_correction_cpu_ms: median(&mut run.corrections_cpu_ms),
-        cpu_ms: run.step_medians(),
+        cpu_ms: run.step_times(),
         frame: run.frame_time(),
         fitness: run.fitness(),
         model_bytes: run.fusion.memory_bytes(),
@@ -251,7 +251,7 @@ impl Run {
         }
     }
 
-    fn step_medians(&mut self) -> Vec<StepTime> {
+    fn step_times(&mut self) -> Vec<StepTime> {
         FusionStep::ALL
             .into_iter()
             .map(|step| {

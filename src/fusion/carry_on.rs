@@ -36,10 +36,11 @@ impl Fusion {
             && self.track.is_moving()
             && !self.is_after_gap(time_secs)
             && self.n_fused.saturating_sub(self.stretch) >= GROWN_FRAMES;
-        let found = is_on_its_way.then(|| self.on_the_way(time_secs)).flatten();
-        if is_on_its_way {
-            on_step(FusionStep::SdfAlignment);
+        if !is_on_its_way {
+            return None;
         }
+        let found = self.on_the_way(time_secs);
+        on_step(FusionStep::SdfAlignment);
         found
     }
 
@@ -87,13 +88,12 @@ impl Fusion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::tests::small_params;
-    use crate::fusion::{DepthNoise, TrackingOutcome};
+    use crate::fusion::TrackingOutcome;
+    use crate::fusion::tests::{frames_of, fusion};
     use crate::geometry::{CameraModel, increment, motion_between};
-    use depth_camera::{DepthCamera, Frame, Sensor};
+    use depth_camera::{Frame, Sensor};
     use nalgebra::{Point3, Vector6};
     use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
-    use std::time::Duration;
 
     /// Frames of three crates that lie about on a table, where each was taken from, by the first, and their camera.
     fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
@@ -115,7 +115,7 @@ mod tests {
             crate_of(0.05, [-0.14, -0.03, 0.05], [-0.2, 0.5, -0.6]),
             crate_of(0.07, [0.13, 0.05, 0.06], [0.5, -0.3, 1.0]),
         ];
-        let mut camera = SimulatedCamera::new(Setup {
+        let camera = SimulatedCamera::new(Setup {
             scene: Scene::new(solids, 1),
             trajectory: Trajectory::hand_held(Point3::new(0.0, 0.0, 0.05), n_frames),
             sensor: Sensor::Kinect2,
@@ -124,22 +124,8 @@ mod tests {
             shading_frames: Vec::new(),
             reduction: 1,
             seed: 5,
-        })
-        .expect("full size");
-        let model = CameraModel::new(camera.info().intrinsics);
-        let first_from_table = camera.true_world_from_camera(0).inverse();
-        let truth = (0..n_frames)
-            .map(|frame| first_from_table * camera.true_world_from_camera(frame))
-            .collect();
-        let grab = |_| camera.grab(Duration::ZERO).expect("no errors");
-        let frames = (0..n_frames).map(grab);
-        let frames = frames.map(|frame| frame.expect("as many as asked for"));
-        (frames.collect(), truth, model)
-    }
-
-    fn fusion(camera: CameraModel) -> Fusion {
-        let noise = DepthNoise::of_sensor(Sensor::Kinect2);
-        Fusion::new(camera, noise, small_params())
+        });
+        frames_of(camera.expect("full size"), n_frames)
     }
 
     /// Where a frame is found to have been taken, and whether the model was cast for it.

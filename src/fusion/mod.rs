@@ -279,13 +279,6 @@ impl Fusion {
         is_near.then_some(pose)
     }
 
-    /// The model as the camera saw it after the last frame that was fused, and not fused anew, at a quarter of the resolution; cast if it
-    /// was not needed yet, which costs what [`FusionStep::Raycast`] says.
-    pub fn model(&mut self) -> Option<&ModelMap> {
-        self.look();
-        self.seen.as_ref().map(ModelView::map)
-    }
-
     /// The frames that were tracked and fused, in order of time; where memory for them is short, some of them, which stand for
     /// those beside them.
     pub fn keyframes(&self) -> &[Keyframe] {
@@ -355,23 +348,6 @@ impl Fusion {
     fn accept(&mut self, world_from_camera: Pose, time_secs: f64, on_step: &mut OnStep) {
         self.take_in(world_from_camera, time_secs, on_step);
         self.stand_at(&world_from_camera);
-    }
-
-    /// The model is to be seen from where the frame in hand was fused, or starts.
-    fn stand_at(&mut self, world_from_camera: &Pose) {
-        let level = self.eye.level(MODEL_LEVEL);
-        match &mut self.seen {
-            Some(seen) => seen.move_to(level, world_from_camera),
-            None => self.seen = Some(ModelView::from(level, world_from_camera)),
-        }
-    }
-
-    /// Looks at the model from where it is to be seen, if that has not been done; whether it was.
-    fn look(&mut self) -> bool {
-        let (eye, volume) = (&self.eye, &self.fused.volume);
-        self.seen
-            .as_mut()
-            .is_some_and(|seen| seen.cast(eye, volume))
     }
 
     /// Fuses the frame in hand at a pose.

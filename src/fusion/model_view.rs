@@ -8,6 +8,7 @@ use super::icp::CastModel;
 use super::pyramid::Level;
 use super::raycast::{ModelMap, raycast};
 use super::volume::TsdfVolume;
+use super::{Fusion, MODEL_LEVEL};
 use crate::geometry::Pose;
 
 /// A view of the model. Rays start at the depth of the frame that was fused last, so that is kept.
@@ -71,5 +72,31 @@ impl ModelView {
             lens: &self.level.lens,
             world_from_camera: &self.world_from_camera,
         }
+    }
+}
+
+impl Fusion {
+    /// The model as the camera saw it after the last frame that was fused, and not fused anew, at a quarter of the resolution; cast if it
+    /// was not needed yet, which costs what [`FusionStep::Raycast`](super::FusionStep::Raycast) says.
+    pub fn model(&mut self) -> Option<&ModelMap> {
+        self.look();
+        self.seen.as_ref().map(ModelView::map)
+    }
+
+    /// The model is to be seen from where the frame in hand was fused, or starts.
+    pub(super) fn stand_at(&mut self, world_from_camera: &Pose) {
+        let level = self.eye.level(MODEL_LEVEL);
+        match &mut self.seen {
+            Some(seen) => seen.move_to(level, world_from_camera),
+            None => self.seen = Some(ModelView::from(level, world_from_camera)),
+        }
+    }
+
+    /// Looks at the model from where it is to be seen, if that has not been done; whether it was.
+    pub(super) fn look(&mut self) -> bool {
+        let (eye, volume) = (&self.eye, &self.fused.volume);
+        self.seen
+            .as_mut()
+            .is_some_and(|seen| seen.cast(eye, volume))
     }
 }

@@ -2,15 +2,16 @@
 
 use serde::Serialize;
 
-/// A step of fusing one frame, in the order in which they happen (but for distances where the motion leads, which come first), and what it costs: processor time on one thread in a busy hour, of a frame of
-/// `relief-k2` at 2 mm and of the desk at 5 mm with depth to 3 m, where a whole frame takes 7.3 and 7.6 ms (30 November).
+/// A step of fusing one frame, in the order in which they happen (but for distances where the motion leads, which come first), and what it
+/// costs: processor time on one thread in a busy hour, of a frame of `relief-k2` at 2 mm and of the desk at 5 mm with depth to 3 m, where a
+/// whole frame takes 7.3 and 7.6 ms (30 November).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FusionStep {
     /// Clipping, pyramid, normals: 0.6 and 0.9 ms, by the pixels of the image.
     Preprocess,
-    /// Casting the model from where the last frame was fused: 2.7 and 4.4 ms, by the pixels of the image reduced by 4 and by the steps of their rays.
-    /// Only for a frame that does not lie where the camera's motion leads.
+    /// Casting the model from where the last frame was fused: 2.7 and 4.4 ms, by the pixels of the image reduced by 4 and by the steps of their
+    /// rays. Only for a frame that does not lie where the camera's motion leads.
     Raycast,
     /// Alignment to the raycast model, for such a frame: 1.2 and 1.1 ms, by iterations over the images reduced by 8 and 4.
     Icp,

@@ -9,7 +9,14 @@ use simulated::SimulatedCamera;
 use std::time::Duration;
 
 pub(super) fn frames(n_frames: usize) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
-    let mut camera = SimulatedCamera::kinect2_plaque(60, 3);
+    frames_of(SimulatedCamera::kinect2_plaque(60, 3), n_frames)
+}
+
+/// The first frames of a camera, where each was taken by the first, and the camera's lens.
+pub(super) fn frames_of(
+    mut camera: SimulatedCamera,
+    n_frames: usize,
+) -> (Vec<Frame>, Vec<Pose>, CameraModel) {
     let model = CameraModel::new(camera.info().intrinsics);
     // The simulator's world is its table; ours is the first camera.
     let first_from_table = camera.true_world_from_camera(0).inverse();
@@ -38,7 +45,7 @@ pub(super) fn small_params() -> FusionParams {
     }
 }
 
-fn fusion(camera: CameraModel) -> Fusion {
+pub(super) fn fusion(camera: CameraModel) -> Fusion {
     let noise = DepthNoise::of_sensor(Sensor::Kinect2);
     Fusion::new(camera, noise, small_params())
 }

@@ -25,6 +25,7 @@ mi.set_variant("llvm_ad_rgb")
 MITSUBA_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Smoothness of the preconditioner, in Laplacians of the mesh.
 LARGE_STEPS = 10.0
+# A residual's deviation: what the light model leaves unexplained on these scans, as a share of the mean intensity.
 UNEXPLAINED = 0.026
 
 
@@ -113,7 +114,6 @@ def main():
     all_views = [View(number, args.inputs, views, coordinates, scene, base) for number in range(len(views["world_from_cameras"]))]
     all_views = [view for view in all_views if view.n_usable > 100]
 
-    # A residual's deviation: what the light model leaves unexplained on these scans, as a share of the mean intensity.
     intensities = [float(dr.sum(view.target, axis=None).array[0]) / view.n_usable for view in all_views]
     variance = (UNEXPLAINED * np.mean(intensities)) ** 2
 
