@@ -8,7 +8,7 @@ use super::noise::DepthNoise;
 use super::observe::Observations;
 use super::preprocess::{DepthRange, build_levels, clip_depth};
 use super::pyramid::{FramePyramid, Level};
-use super::raycast::{ModelMap, raycast};
+use super::raycast::{ModelMap, Window, raycast};
 use super::steps::{FusionStep, OnStep};
 use super::turns::Turns;
 use super::view::View;
@@ -124,14 +124,9 @@ impl Eye {
         world_from_camera: &Pose,
         map: &mut ModelMap,
     ) {
-        raycast(
-            self.arch,
-            volume,
-            self.level(level),
-            world_from_camera,
-            self.range,
-            map,
-        );
+        let level = self.level(level);
+        let all = (level, &Window::whole(level));
+        raycast(self.arch, volume, all, world_from_camera, self.range, map);
     }
 
     /// A reduced level of the frame in hand, the finest first.

@@ -6,7 +6,7 @@
 use super::eye::Eye;
 use super::icp::CastModel;
 use super::pyramid::Level;
-use super::raycast::{ModelMap, raycast};
+use super::raycast::{ModelMap, Window, raycast};
 use super::volume::TsdfVolume;
 use super::{Fusion, MODEL_LEVEL};
 use crate::geometry::Pose;
@@ -18,7 +18,8 @@ pub struct ModelView {
     level: Level,
     world_from_camera: Pose,
     map: ModelMap,
-    is_cast: bool,
+    /// What has been cast since the last move.
+    cast: Option<Window>,
 }
 
 impl ModelView {
@@ -28,7 +29,7 @@ impl ModelView {
             map: ModelMap::of_level(level),
             level: level.clone(),
             world_from_camera: *world_from_camera,
-            is_cast: false,
+            cast: None,
         }
     }
 
@@ -41,23 +42,27 @@ impl ModelView {
     /// Moves with the frame that it is of, whose pose was corrected, or whose model is another now.
     pub fn moved(&mut self, world_from_camera: &Pose) {
         self.world_from_camera = *world_from_camera;
-        self.is_cast = false;
+        self.cast = None;
     }
 
     /// Casts the model, if it has not been since the last move; whether it did.
     pub fn cast(&mut self, eye: &Eye, volume: &TsdfVolume) -> bool {
-        let casts = !self.is_cast;
-        if casts {
-            let Self {
-                level,
-                world_from_camera,
-                map,
-                ..
-            } = self;
-            raycast(eye.arch, volume, level, world_from_camera, eye.range, map);
-            self.is_cast = true;
+        self.cast_in(Window::whole(&self.level), eye, volume)
+    }
+
+    /// Casts the model in a window, if it has not been there since the last move; whether it did.
+    fn cast_in(&mut self, window: Window, eye: &Eye, volume: &TsdfVolume) -> bool {
+        let is_cast = self
+            .cast
+            .as_ref()
+            .is_some_and(|cast| cast.contains(&window));
+        if !is_cast {
+            let place = (&self.level, &window);
+            let pose = &self.world_from_camera;
+            raycast(eye.arch, volume, place, pose, eye.range, &mut self.map);
+            self.cast = Some(window);
         }
-        casts
+        !is_cast
     }
 
     /// What it was when the model was cast last.
@@ -83,6 +88,15 @@ impl Fusion {
         self.seen.as_ref().map(ModelView::map)
     }
 
+    /// The same, of which only what lies so near to the optical axis, radians below a right angle, need be seen: the less, the cheaper.
+    pub fn model_near_axis(&mut self, from_axis_rad: f64) -> Option<&ModelMap> {
+        let (eye, volume) = (&self.eye, &self.fused.volume);
+        let seen = self.seen.as_mut()?;
+        let window = Window::near_axis(&seen.level, from_axis_rad);
+        seen.cast_in(window, eye, volume);
+        Some(seen.map())
+    }
+
     /// The model is to be seen from where the frame in hand was fused, or starts.
     pub(super) fn stand_at(&mut self, world_from_camera: &Pose) {
         let level = self.eye.level(MODEL_LEVEL);
@@ -98,5 +112,71 @@ impl Fusion {
         self.seen
             .as_mut()
             .is_some_and(|seen| seen.cast(eye, volume))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::tests::{frames_of, fusion};
+    use depth_camera::Sensor;
+    use nalgebra::{Point3, Vector3};
+    use simulated::{Infrared, Scene, Setup, Shape, SimulatedCamera, Solid, Trajectory};
+
+    /// What has seen a ball and a table.
+    fn fused() -> Fusion {
+        let ball = Solid::new(Shape::Sphere { radius: 0.1 }, Pose::identity(), 0.6);
+        let table = Shape::Table {
+            half_size: [0.5, 0.5],
+        };
+        let camera = SimulatedCamera::new(Setup {
+            scene: Scene::new(vec![ball, Solid::new(table, Pose::identity(), 0.5)], 1),
+            trajectory: Trajectory::hand_held(Point3::origin(), 2),
+            sensor: Sensor::Kinect2,
+            infrared: Infrared::of_sensor(Sensor::Kinect2),
+            n_moving_frames: 2,
+            shading_frames: Vec::new(),
+            reduction: 1,
+            seed: 7,
+        });
+        let (frames, _, camera) = frames_of(camera.expect("full size"), 2);
+        let mut fusion = fusion(camera);
+        for frame in &frames {
+            let depth = frame.depth.as_ref().expect("Kinect II");
+            fusion.fuse(depth, frame.device_time_secs);
+        }
+        fusion
+    }
+
+    #[test]
+    fn what_is_seen_near_the_axis_is_what_is_seen_of_all() {
+        const NEAR_RAD: f64 = 0.2;
+        let fused = fused();
+        let whole = fused.clone().model().expect("fused").clone();
+        let mut looking = fused.clone();
+        let near = looking.model_near_axis(NEAR_RAD).expect("fused").clone();
+        let rays = &fused.eye.level(MODEL_LEVEL).rays;
+        let (mut n_near, mut n_left_out) = (0, 0);
+        for pixel in 0..rays.x.len() {
+            let normal = near.normals.data()[pixel];
+            if normal == Vector3::zeros() && whole.normals.data()[pixel] != normal {
+                n_left_out += 1;
+                let from_axis_rad = f64::from(rays.x[pixel].hypot(rays.y[pixel])).atan();
+                assert!(from_axis_rad > NEAR_RAD, "{pixel}: {from_axis_rad}");
+            } else if normal != Vector3::zeros() {
+                n_near += 1;
+                assert_eq!(normal, whole.normals.data()[pixel]);
+                assert_eq!(near.points.data()[pixel], whole.points.data()[pixel]);
+            }
+        }
+        assert!(
+            n_near > 500 && n_left_out > 2 * n_near,
+            "{n_near}, {n_left_out}"
+        );
+        // Asked for all of it afterwards, and then for less again.
+        let seen_after = looking.model().expect("fused").clone();
+        assert_eq!(seen_after.normals, whole.normals);
+        let seen_last = looking.model_near_axis(NEAR_RAD).expect("fused");
+        assert_eq!(seen_last.normals, whole.normals);
     }
 }

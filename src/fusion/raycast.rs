@@ -15,6 +15,7 @@ use depth_camera::Image;
 use nalgebra::{Point3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// The model seen from a pose.
 #[derive(Clone, Debug)]
@@ -67,23 +68,81 @@ impl ModelMap {
 /// A point of the surface with its normal.
 type Hit = (Vector3<f32>, Vector3<f32>);
 
-/// Casts a ray for each pixel of a level that was fused from the same pose.
+/// The pixels that are cast: whole lanes of some rows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Window {
+    lanes: Range<usize>,
+    rows: Range<usize>,
+}
+
+impl Window {
+    /// All pixels of a level.
+    pub fn whole(level: &Level) -> Self {
+        Window {
+            lanes: 0..level.rays.width.div_ceil(LANES),
+            rows: 0..level.rays.height,
+        }
+    }
+
+    /// The least window with all rays of a level that are so near to the optical axis, radians below a right angle.
+    pub fn near_axis(level: &Level, from_axis_rad: f64) -> Self {
+        /// A ray that is rounded out of reach is within it.
+        const ROUNDING: f32 = 1e-5;
+        let reach = from_axis_rad.tan() as f32 + ROUNDING;
+        let rays = level.rays.x.iter().zip(&level.rays.y);
+        let near = rays.enumerate().filter(|(_, (x, y))| x.hypot(**y) <= reach);
+        let nothing = Window {
+            lanes: 0..0,
+            rows: 0..0,
+        };
+        near.fold(nothing, |window, (pixel, _)| {
+            let (u, v) = (pixel % level.rays.width, pixel / level.rays.width);
+            Window {
+                lanes: with(window.lanes, u / LANES),
+                rows: with(window.rows, v),
+            }
+        })
+    }
+
+    /// Whether all of another's pixels are among these.
+    pub fn contains(&self, other: &Window) -> bool {
+        let lies_in = |inner: &Range<usize>, outer: &Range<usize>| {
+            outer.start <= inner.start && inner.end <= outer.end
+        };
+        lies_in(&other.lanes, &self.lanes) && lies_in(&other.rows, &self.rows)
+    }
+}
+
+/// A range and an index beside it.
+fn with(range: Range<usize>, index: usize) -> Range<usize> {
+    match range.is_empty() {
+        true => index..index + 1,
+        false => range.start.min(index)..range.end.max(index + 1),
+    }
+}
+
+/// Casts a ray for each pixel in a window of a level that was fused from the same pose; nothing is seen beside it.
 // A symbol of its own, by which tests/bench/instructions.sh counts.
 #[inline(never)]
 pub fn raycast(
     arch: Arch,
     volume: &TsdfVolume,
-    level: &Level,
+    (level, window): (&Level, &Window),
     world_from_camera: &Pose,
     range: DepthRange,
     map: &mut ModelMap,
 ) {
     let caster = Caster::new(volume, world_from_camera, range);
     for_each_row(level, map, |v, points, normals| {
+        let lanes = match window.rows.contains(&v) {
+            true => window.lanes.clone(),
+            false => 0..0,
+        };
         arch.dispatch(CastRow {
             caster: &caster,
             level,
             v,
+            lanes,
             points,
             normals,
         });
@@ -131,6 +190,7 @@ struct CastRow<'a> {
     caster: &'a Caster<'a>,
     level: &'a Level,
     v: usize,
+    lanes: Range<usize>,
     points: &'a mut [Vector3<f32>],
     normals: &'a mut [Vector3<f32>],
 }
@@ -141,10 +201,18 @@ impl WithSimd for CastRow<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let CastRow {
-            caster, level, v, ..
+            caster,
+            level,
+            v,
+            lanes,
+            ..
         } = self;
         let parts = self.points.chunks_mut(LANES);
         for (part, (points, normals)) in parts.zip(self.normals.chunks_mut(LANES)).enumerate() {
+            if !lanes.contains(&part) {
+                normals.fill(Vector3::zeros());
+                continue;
+            }
             let (first_u, first) = (part * LANES, v * level.rays.width + part * LANES);
             let depth = depth_near(level, first_u, v);
             let found = caster.converge(level, first, &depth);

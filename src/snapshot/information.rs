@@ -27,8 +27,8 @@ pub(super) const SAMPLE_PX: usize = 4;
 /// Refinement is of the object that the operator points at: surface counts by a Gaussian of its angle to the optical axis
 /// with this deviation, 8°: 84 mm at 0.6 m. Arbitrary.
 const ATTENTION_RAD: f64 = 0.14;
-/// Pixels beyond this many deviations are not looked at; they would weigh less than 0.02.
-const ATTENTION_REACH: f64 = 2.8;
+/// Pixels farther from the optical axis, 2.8 deviations, are not looked at; they would weigh less than 0.02.
+pub const ATTENTION_REACH_RAD: f64 = 2.8 * ATTENTION_RAD;
 /// Surface seen or lit at a smaller cosine is not looked at (70°): its footprint is three pixels long.
 const MIN_COSINE: f64 = 0.342;
 /// The distance at which a pixel's noise and the error of the model are about as large, metres. Beyond it the change of
@@ -202,7 +202,7 @@ pub(super) fn view_information(
     let pixel_solid_angle = (step * factor).pow(2) as f64 / optics.focal_px.iter().product::<f64>();
     // Pixels are counted in those of a patch seen head-on at the reference distance: near views have more of them.
     let unit = pixel_solid_angle * (REFERENCE_M / PATCH_M).powi(2);
-    let min_cos_axis = (ATTENTION_RAD * ATTENTION_REACH).cos();
+    let min_cos_axis = ATTENTION_REACH_RAD.cos();
 
     let mut samples = Vec::new();
     let (mut target, mut weights) = (Vector3::zeros(), 0.0);

@@ -35,7 +35,7 @@ mod scenes;
 
 pub use coverage::Coverage;
 pub use guide::Guidance;
-pub use information::attention;
+pub use information::{ATTENTION_REACH_RAD, attention};
 pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
 pub use pause::place_on_their_ways;
@@ -112,8 +112,8 @@ pub struct TrackedFrame<'a> {
     pub frame: &'a Frame,
     /// Whether its pose is known.
     pub outcome: &'a TrackingOutcome,
-    /// The model as seen after this frame was fused, world frame, where [`SnapshotSelector::needs_model`] says so; its pixels are whole
-    /// multiples of the frame's.
+    /// The model as seen after this frame was fused, world frame, where [`SnapshotSelector::needs_model`] says so, of which what lies within
+    /// [`ATTENTION_REACH_RAD`] of the optical axis is looked at; its pixels are whole multiples of the frame's.
     pub model: Option<&'a ModelMap>,
 }
 

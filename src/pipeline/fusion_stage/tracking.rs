@@ -6,7 +6,7 @@ use crate::{
     fusion::TrackingOutcome,
     geometry::{Pose, motion_between},
     pipeline::{accounts::Place, conditions::WEAK_FITNESS, losses::sentence},
-    snapshot::TrackedFrame,
+    snapshot::{ATTENTION_REACH_RAD, TrackedFrame},
 };
 use depth_camera::Frame;
 use std::sync::Arc;
@@ -117,7 +117,7 @@ impl FusionStage {
         self.selection_clock.time(|| {
             pool.install(|| {
                 let model = match selector.needs_model(frame) {
-                    true => fusion.model(),
+                    true => fusion.model_near_axis(ATTENTION_REACH_RAD),
                     false => None,
                 };
                 selector.observe(&TrackedFrame {

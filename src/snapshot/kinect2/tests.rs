@@ -4,7 +4,7 @@ use super::*;
 use crate::fusion::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
 use crate::geometry::{CameraModel, increment};
 use crate::snapshot::scenes::{self, Plane};
-use crate::snapshot::{SnapshotParams, SnapshotSelector};
+use crate::snapshot::{ATTENTION_REACH_RAD, SnapshotParams, SnapshotSelector};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
@@ -177,7 +177,7 @@ fn a_scan_of_a_plaque_gives_views_from_both_sides() {
         selector.observe(&TrackedFrame {
             frame: &frame,
             outcome: &outcome,
-            model: fusion.model(),
+            model: fusion.model_near_axis(ATTENTION_REACH_RAD),
         });
     }
     assert_eq!(selector.n_accepted(), 6);
