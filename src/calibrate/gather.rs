@@ -9,7 +9,7 @@ use crate::fusion::{DepthNoise, Fusion, FusionParams, TrackingOutcome};
 use crate::geometry::{CameraModel, Plane, Pose, RayGrid};
 use crate::robust::median;
 use crate::shading::{SATURATION, without_ambient};
-use crate::snapshot::{ATTENTION_REACH_RAD, HeldPose, ShadingSnapshot, TrackedFrame};
+use crate::snapshot::{HeldPose, ShadingSnapshot, TrackedFrame};
 use depth_camera::{CameraInfo, Frame, Image};
 use nalgebra::Point3;
 use std::fmt;
@@ -174,7 +174,7 @@ impl Gatherer {
         self.of_sphere.observe(&TrackedFrame {
             frame,
             outcome: &in_model,
-            model: self.fusion.model_near_axis(ATTENTION_REACH_RAD),
+            model: self.fusion.model(),
         });
     }
 

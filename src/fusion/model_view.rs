@@ -20,6 +20,8 @@ pub struct ModelView {
     map: ModelMap,
     /// What has been cast since the last move.
     cast: Option<Window>,
+    /// Whether all of it had been before that.
+    was_whole: bool,
 }
 
 impl ModelView {
@@ -30,11 +32,13 @@ impl ModelView {
             level: level.clone(),
             world_from_camera: *world_from_camera,
             cast: None,
+            was_whole: false,
         }
     }
 
     /// Moves to where the next frame was fused.
     pub fn move_to(&mut self, level: &Level, world_from_camera: &Pose) {
+        self.was_whole = self.cast == Some(Window::whole(level));
         self.level.depth.copy_from_slice(&level.depth);
         self.moved(world_from_camera);
     }
@@ -65,7 +69,7 @@ impl ModelView {
         !is_cast
     }
 
-    /// What it was when the model was cast last.
+    /// What it was when the model was cast last, in the window that was.
     pub fn map(&self) -> &ModelMap {
         &self.map
     }
@@ -92,7 +96,11 @@ impl Fusion {
     pub fn model_near_axis(&mut self, from_axis_rad: f64) -> Option<&ModelMap> {
         let (eye, volume) = (&self.eye, &self.fused.volume);
         let seen = self.seen.as_mut()?;
-        let window = Window::near_axis(&seen.level, from_axis_rad);
+        let window = match seen.was_whole {
+            // Frames that all of it is needed for come one after the other.
+            true => Window::whole(&seen.level),
+            false => Window::near_axis(&seen.level, from_axis_rad),
+        };
         seen.cast_in(window, eye, volume);
         Some(seen.map())
     }
@@ -154,6 +162,8 @@ mod tests {
         let fused = fused();
         let whole = fused.clone().model().expect("fused").clone();
         let mut looking = fused.clone();
+        // As after a frame that needed no view of it.
+        looking.seen.as_mut().expect("fused").was_whole = false;
         let near = looking.model_near_axis(NEAR_RAD).expect("fused").clone();
         let rays = &fused.eye.level(MODEL_LEVEL).rays;
         let (mut n_near, mut n_left_out) = (0, 0);

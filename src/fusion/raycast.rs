@@ -90,7 +90,8 @@ impl Window {
         const ROUNDING: f32 = 1e-5;
         let reach = from_axis_rad.tan() as f32 + ROUNDING;
         let rays = level.rays.x.iter().zip(&level.rays.y);
-        let near = rays.enumerate().filter(|(_, (x, y))| x.hypot(**y) <= reach);
+        let is_near = |(_, (x, y)): &(usize, (&f32, &f32))| **x * **x + **y * **y <= reach * reach;
+        let near = rays.enumerate().filter(is_near);
         let nothing = Window {
             lanes: 0..0,
             rows: 0..0,
@@ -107,7 +108,7 @@ impl Window {
     /// Whether all of another's pixels are among these.
     pub fn contains(&self, other: &Window) -> bool {
         let lies_in = |inner: &Range<usize>, outer: &Range<usize>| {
-            outer.start <= inner.start && inner.end <= outer.end
+            inner.is_empty() || outer.start <= inner.start && inner.end <= outer.end
         };
         lies_in(&other.lanes, &self.lanes) && lies_in(&other.rows, &self.rows)
     }

@@ -28,7 +28,7 @@ pub(super) const SAMPLE_PX: usize = 4;
 /// with this deviation, 8°: 84 mm at 0.6 m. Arbitrary.
 const ATTENTION_RAD: f64 = 0.14;
 /// Pixels farther from the optical axis, 2.8 deviations, are not looked at; they would weigh less than 0.02.
-pub const ATTENTION_REACH_RAD: f64 = 2.8 * ATTENTION_RAD;
+pub(super) const ATTENTION_REACH_RAD: f64 = 2.8 * ATTENTION_RAD;
 /// Surface seen or lit at a smaller cosine is not looked at (70°): its footprint is three pixels long.
 const MIN_COSINE: f64 = 0.342;
 /// The distance at which a pixel's noise and the error of the model are about as large, metres. Beyond it the change of

@@ -35,7 +35,7 @@ mod scenes;
 
 pub use coverage::Coverage;
 pub use guide::Guidance;
-pub use information::{ATTENTION_REACH_RAD, attention};
+pub use information::attention;
 pub use next_view::Viewpoint;
 pub use params::{HeldPose, SnapshotParams};
 pub use pause::place_on_their_ways;
@@ -47,7 +47,7 @@ use crate::geometry::Pose;
 use crate::shading::{SATURATION, without_ambient};
 use candidates::Candidates;
 use depth_camera::{CameraInfo, Frame, Image, Sensor};
-use information::Optics;
+use information::{ATTENTION_REACH_RAD, Optics};
 use kinect1::ShadingSequence;
 use kinect2::EmitterStream;
 use std::borrow::Cow;
@@ -112,9 +112,20 @@ pub struct TrackedFrame<'a> {
     pub frame: &'a Frame,
     /// Whether its pose is known.
     pub outcome: &'a TrackingOutcome,
-    /// The model as seen after this frame was fused, world frame, where [`SnapshotSelector::needs_model`] says so, of which what lies within
-    /// [`ATTENTION_REACH_RAD`] of the optical axis is looked at; its pixels are whole multiples of the frame's.
+    /// The model as seen after this frame was fused, world frame, where and as far as [`SnapshotSelector::looks_at`] says; its pixels are
+    /// whole multiples of the frame's.
     pub model: Option<&'a ModelMap>,
+}
+
+/// What of the model is looked at for a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PartOfModel {
+    /// It is not needed.
+    Nothing,
+    /// What lies so near to the optical axis, radians.
+    NearAxis(f64),
+    /// All that is in view.
+    All,
 }
 
 /// Where the camera was, and when.
@@ -239,12 +250,13 @@ impl SnapshotSelector {
         }
     }
 
-    /// Whether it looks at the model for the next frame: at each with infrared where every tracked frame is a candidate, at the one after
-    /// the exposures of a pose where there are such.
-    pub fn needs_model(&self, frame: &Frame) -> bool {
+    /// What it looks at of the model for the next frame: near the axis at each with infrared where every tracked frame is a candidate, and
+    /// at all of it, since their pose is not the model's, at the one after the exposures of a pose where there are such.
+    pub fn looks_at(&self, frame: &Frame) -> PartOfModel {
         match &self.method {
-            Method::Sequence(sequence) => sequence.is_exposing(),
-            Method::Stream(_) => frame.ir.is_some(),
+            Method::Sequence(sequence) if sequence.is_exposing() => PartOfModel::All,
+            Method::Stream(_) if frame.ir.is_some() => PartOfModel::NearAxis(ATTENTION_REACH_RAD),
+            Method::Sequence(_) | Method::Stream(_) => PartOfModel::Nothing,
         }
     }
 

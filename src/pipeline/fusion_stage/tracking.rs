@@ -6,7 +6,7 @@ use crate::{
     fusion::TrackingOutcome,
     geometry::{Pose, motion_between},
     pipeline::{accounts::Place, conditions::WEAK_FITNESS, losses::sentence},
-    snapshot::{ATTENTION_REACH_RAD, TrackedFrame},
+    snapshot::{PartOfModel, TrackedFrame},
 };
 use depth_camera::Frame;
 use std::sync::Arc;
@@ -116,9 +116,10 @@ impl FusionStage {
         let (pool, fusion) = (&self.pool, &mut self.fusion);
         self.selection_clock.time(|| {
             pool.install(|| {
-                let model = match selector.needs_model(frame) {
-                    true => fusion.model_near_axis(ATTENTION_REACH_RAD),
-                    false => None,
+                let model = match selector.looks_at(frame) {
+                    PartOfModel::Nothing => None,
+                    PartOfModel::NearAxis(reach_rad) => fusion.model_near_axis(reach_rad),
+                    PartOfModel::All => fusion.model(),
                 };
                 selector.observe(&TrackedFrame {
                     frame,

@@ -3,7 +3,7 @@
 use super::*;
 use crate::fusion::LossReason;
 use crate::geometry::increment;
-use crate::snapshot::{SnapshotSelection, SnapshotSelector, scenes};
+use crate::snapshot::{PartOfModel, SnapshotSelection, SnapshotSelector, scenes};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::Vector6;
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
@@ -412,12 +412,13 @@ fn the_model_is_needed_from_the_first_exposure_to_the_frame_after() {
     let next = scenes::frame(0, 0.0, None, None);
     let sequence = [Depth(0.0), Lamp(300), Lamp(300), Depth(0.0), Depth(0.0)];
     let needed = sequence.iter().zip(0..).map(|(shows, frame_id)| {
-        let needs_model = selector.needs_model(&next);
+        let looks_at = selector.looks_at(&next);
         observe(&mut selector, frame_id, *shows);
-        needs_model
+        looks_at
     });
-    let needed: Vec<bool> = needed.collect();
-    assert_eq!(needed, [false, false, true, true, false]);
+    let needed: Vec<PartOfModel> = needed.collect();
+    let [nothing, all] = [PartOfModel::Nothing, PartOfModel::All];
+    assert_eq!(needed, [nothing, nothing, all, all, nothing]);
 }
 
 #[test]

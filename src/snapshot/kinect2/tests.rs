@@ -3,8 +3,9 @@
 use super::*;
 use crate::fusion::{DepthNoise, Fusion, FusionParams, LossReason, TrackingOutcome};
 use crate::geometry::{CameraModel, increment};
+use crate::snapshot::information::ATTENTION_REACH_RAD;
 use crate::snapshot::scenes::{self, Plane};
-use crate::snapshot::{ATTENTION_REACH_RAD, SnapshotParams, SnapshotSelector};
+use crate::snapshot::{SnapshotParams, SnapshotSelector};
 use depth_camera::{DepthCamera, Sensor};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use simulated::{Infrared, Scene, Setup, SimulatedCamera, Trajectory};
