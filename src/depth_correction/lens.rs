@@ -3,7 +3,8 @@
 //! Lenses of one kind differ by a percent or two, and a calibration that is shipped for the kind knows nothing of that; a recording may state
 //! another camera's, or have been scaled otherwise across than down. With a focal length that is 2 % too short all that is seen is 2 % too wide
 //! for its depth, slopes are too flat, and a surface that was seen from all round does not close: a base mesh lies three times as far off.
-//! Views of one surface tell both focal lengths, across and down ([`Views::longer_focus`]), to a percent, and a scan is fused again by the rays of another camera.
+//! Views of one surface tell both focal lengths, across and down ([`Views::longer_focus`]), to a percent, and a scan is fused again by the rays of
+//! another camera; it stays so if its frames then lie closer to the model than without.
 //!
 //! Not told: less than that; and scale, for a scene that is larger as a whole looks alike.
 //!

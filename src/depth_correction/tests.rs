@@ -1,10 +1,11 @@
 //! Scans of the simulated Kinect II, fused again at their end.
 
+use super::lens::Lens;
 use super::predictions::nanos;
 use super::ray_order::RayOrder;
 use super::*;
 use crate::{
-    fusion::{DepthNoise, TrackingOutcome},
+    fusion::{DepthNoise, TrackingOutcome, Work},
     geometry::{CellGrid, increment, motion_between},
 };
 use depth_camera::DepthCamera;
@@ -505,6 +506,25 @@ fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
     let found = revised.intrinsics().expect("another lens");
     for off in [found.fx / truth.fx - 1.0, found.fy / truth.fy - 1.0] {
         assert!(off.abs() < 0.008, "{found:?}: {off}");
+    }
+    // One that lies the other way is left, whoever tells of it.
+    let fused_by = |known| {
+        let (frames, work) = (fusion.keyframes(), Work::CorrectDepth(1));
+        correction.fuse_again(frames, &fusion, None, known, work, &|_| true)
+    };
+    for (longer, is_taken) in [(0.02, true), (-0.02, false)] {
+        let lens = Lens::new(said.intrinsics(), [longer; 2]);
+        let without = (&fusion, &Known::default());
+        let revised = correction.by_closer_lens(without, lens, 1.0, fused_by);
+        assert_eq!(revised.is_some(), is_taken, "{longer}");
+        // What a scan that is stopped would be by it is not known.
+        let stopped = correction.by_closer_lens(
+            without,
+            Lens::new(said.intrinsics(), [longer; 2]),
+            1.0,
+            |_| None,
+        );
+        assert!(stopped.is_none());
     }
     let correction = DepthCorrection::new(&info, &calibration, false, &not_asked);
     let stays = correction.revise(&fusion, &|_| true);
