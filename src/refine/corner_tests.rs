@@ -7,7 +7,7 @@ use super::optics::Optics;
 use super::params::RefineParams;
 use super::preparation::{Preparation, first_views, views_of};
 use super::scenes::{FULL_SCALE, calibration, image, optics};
-use super::self_calibration::{Told, Tolerance};
+use super::self_calibration::Told;
 use super::subject::Subject;
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
@@ -222,7 +222,6 @@ fn indirect_light_by_which_images_held_out_differ_more_is_not_taken() {
         params: &params,
         mesh: &level.mesh,
         asked: first_views(snapshots.len()),
-        tolerance: Tolerance::FINISHED,
     };
     let views = views_of(&subject, &params);
     let strength_of = |views: &[View]| views[0].white.expect("interreflection").strength();

@@ -11,7 +11,7 @@ use super::observations::Observations;
 use super::optics::Optics;
 use super::params::RefineParams;
 use super::rounds::{Rounds, State, final_loss};
-use super::self_calibration::{Told, Tolerance, gloss_of_materials};
+use super::self_calibration::{Told, gloss_of_materials};
 use super::site_gloss::SiteGloss;
 use super::sites::{SiteKind, Sites, ViewError, ViewSet};
 use super::solver::{Iteration, RefineStatus};
@@ -88,7 +88,6 @@ impl Preparation {
             params: &params,
             mesh: &levels[asked].mesh,
             asked: learning,
-            tolerance: Tolerance::FINISHED,
         };
         let told = trial.ask(&views);
         let (told, views) = trial.judge(told, &levels[0], views);

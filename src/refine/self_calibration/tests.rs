@@ -40,7 +40,6 @@ fn told_by(
         &views,
         &believed_optics,
         params,
-        Tolerance::FINISHED,
     )
 }
 
@@ -59,6 +58,29 @@ fn a_wrong_gamma_is_found_on_a_surface_that_lacks_the_detail() {
             "{text}"
         );
     }
+}
+
+#[test]
+fn a_part_of_what_is_told_lies_between() {
+    let (rays, believed) = (rays(), calibration());
+    let optics = optics(&rays, &believed);
+    let mut calibration = believed.with_gamma(1.25 * believed.gamma);
+    let stands_m = optics.light.position;
+    calibration.light.position_m = Some([stands_m.x + 0.02, stands_m.y, stands_m.z]);
+    calibration.light.lobe_power = believed.light.lobe_power + 2.0;
+    let told = Contradiction::of(&optics, calibration.clone());
+    assert!((told.light_moved_m - 0.02).abs() < 1e-12);
+    for share in [0.0, 0.5, 1.0] {
+        let part = told.part(&optics, share).expect("between");
+        let inv_gamma = (1.0 - 0.2 * share) / believed.gamma;
+        assert!((part.gamma * inv_gamma - 1.0).abs() < 1e-12, "{share}");
+        let [x, ..] = part.light.position_m.expect("stated");
+        assert!((x - stands_m.x - 0.02 * share).abs() < 1e-12, "{share}");
+        let lobe_power = believed.light.lobe_power + 2.0 * share;
+        assert!((part.light.lobe_power - lobe_power).abs() < 1e-12);
+    }
+    // Beyond a response that there is.
+    assert!(told.part(&optics, 6.0).is_none());
 }
 
 #[test]
