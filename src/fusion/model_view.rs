@@ -20,8 +20,9 @@ pub struct ModelView {
     map: ModelMap,
     /// What has been cast since the last move.
     cast: Option<Window>,
-    /// Whether all of it had been before that.
-    was_whole: bool,
+    /// Whether tracking has looked at it since, and had before that.
+    is_tracked_by: bool,
+    was_tracked_by: bool,
 }
 
 impl ModelView {
@@ -32,13 +33,14 @@ impl ModelView {
             level: level.clone(),
             world_from_camera: *world_from_camera,
             cast: None,
-            was_whole: false,
+            is_tracked_by: false,
+            was_tracked_by: false,
         }
     }
 
     /// Moves to where the next frame was fused.
     pub fn move_to(&mut self, level: &Level, world_from_camera: &Pose) {
-        self.was_whole = self.cast == Some(Window::whole(level));
+        self.was_tracked_by = std::mem::take(&mut self.is_tracked_by);
         self.level.depth.copy_from_slice(&level.depth);
         self.moved(world_from_camera);
     }
@@ -88,16 +90,18 @@ impl Fusion {
     /// The model as the camera saw it after the last frame that was fused, and not fused anew, at a quarter of the resolution; cast if it
     /// was not needed yet, which costs what [`FusionStep::Raycast`](super::FusionStep::Raycast) says.
     pub fn model(&mut self) -> Option<&ModelMap> {
-        self.look();
-        self.seen.as_ref().map(ModelView::map)
+        let (eye, volume) = (&self.eye, &self.fused.volume);
+        let seen = self.seen.as_mut()?;
+        seen.cast(eye, volume);
+        Some(seen.map())
     }
 
     /// The same, of which only what lies so near to the optical axis, radians below a right angle, need be seen: the less, the cheaper.
     pub fn model_near_axis(&mut self, from_axis_rad: f64) -> Option<&ModelMap> {
         let (eye, volume) = (&self.eye, &self.fused.volume);
         let seen = self.seen.as_mut()?;
-        let window = match seen.was_whole {
-            // Frames that all of it is needed for come one after the other.
+        let window = match seen.was_tracked_by {
+            // Frames that need all of it come one after the other, and the next would have it cast once more.
             true => Window::whole(&seen.level),
             false => Window::near_axis(&seen.level, from_axis_rad),
         };
@@ -114,12 +118,13 @@ impl Fusion {
         }
     }
 
-    /// Looks at the model from where it is to be seen, if that has not been done; whether it was.
+    /// Looks at the model from where it is to be seen, to track by it, if that has not been done; whether it was.
     pub(super) fn look(&mut self) -> bool {
         let (eye, volume) = (&self.eye, &self.fused.volume);
-        self.seen
-            .as_mut()
-            .is_some_and(|seen| seen.cast(eye, volume))
+        self.seen.as_mut().is_some_and(|seen| {
+            seen.is_tracked_by = true;
+            seen.cast(eye, volume)
+        })
     }
 }
 
@@ -163,7 +168,7 @@ mod tests {
         let whole = fused.clone().model().expect("fused").clone();
         let mut looking = fused.clone();
         // As after a frame that needed no view of it.
-        looking.seen.as_mut().expect("fused").was_whole = false;
+        looking.seen.as_mut().expect("fused").was_tracked_by = false;
         let near = looking.model_near_axis(NEAR_RAD).expect("fused").clone();
         let rays = &fused.eye.level(MODEL_LEVEL).rays;
         let (mut n_near, mut n_left_out) = (0, 0);
