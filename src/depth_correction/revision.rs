@@ -257,11 +257,11 @@ impl DepthCorrection {
         growth: f64,
         fused_by: impl Fn(Known) -> Option<Revised>,
     ) -> Option<Revised> {
-        let without_m = without.misfit_m(self.rays_of(known))?;
         let by_lens = fused_by(Known {
             lens: Some(lens?),
             ..known.clone()
         })?;
+        let without_m = without.misfit_m(self.rays_of(known))?;
         let by_lens_m = by_lens.fusion.misfit_m(self.rays_of(&by_lens.known))?;
         let is_closer = by_lens_m < growth * without_m;
         tracing::info!(

@@ -515,15 +515,10 @@ fn a_lens_that_is_not_what_it_is_said_to_be_is_told_by_a_scan_and_put_right() {
     for (longer, is_taken) in [(0.02, true), (-0.02, false)] {
         let lens = Lens::new(said.intrinsics(), [longer; 2]);
         let without = (&fusion, &Known::default());
-        let revised = correction.by_closer_lens(without, lens, 1.0, fused_by);
+        let revised = correction.by_closer_lens(without, lens.clone(), 1.0, fused_by);
         assert_eq!(revised.is_some(), is_taken, "{longer}");
         // What a scan that is stopped would be by it is not known.
-        let stopped = correction.by_closer_lens(
-            without,
-            Lens::new(said.intrinsics(), [longer; 2]),
-            1.0,
-            |_| None,
-        );
+        let stopped = correction.by_closer_lens(without, lens, 1.0, |_| None);
         assert!(stopped.is_none());
     }
     let correction = DepthCorrection::new(&info, &calibration, false, &not_asked);

@@ -122,13 +122,10 @@ impl CalibrationTrial<'_> {
         if let [(_, start), (_, half), (_, whole)] = tried[..]
             && let Some(share) = vertex_of_parabola([start, half, whole])
         {
-            let share = share.min(FARTHEST_SHARE);
+            let share = share.clamp(0.0, FARTHEST_SHARE);
             let is_apart = tried.iter().all(|(at, _)| (share - at).abs() > APART);
-            tried.extend(
-                (share > 0.0 && is_apart)
-                    .then(|| Some((share, gain_at(share)?)))
-                    .flatten(),
-            );
+            let gain = is_apart.then(|| gain_at(share)).flatten();
+            tried.extend(gain.map(|gain| (share, gain)));
         }
         tracing::info!(
             shares_and_gains = ?tried,
