@@ -8,7 +8,8 @@ Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pres
 same, of an albedo that changes slowly), `painted` (the same, with an ornament), `gear` (sharp
 teeth, letters cut into the top, from above), `figure` (folds, thin arms, all round), `bowl` (deep, light goes from wall to wall,
 from above), `chest` (sharp edges, frames and strokes, all round), `rock` (rough, all round), `mug` (thin walls, a handle, all round),
-`medal` (flat, a low relief, from above). They stand on a grey table among boxes.
+`medal` (flat, a low relief, from above), or a folder: the object of that session's truth, recorded once more. They stand on a grey
+table among boxes.
 
 Light that goes over other surfaces is in the images: rays on the true surface, over four points of a pixel; over two and more of them as
 places spread over the object gather it.
@@ -321,12 +322,19 @@ class KinectOne(Kinect):
 SENSORS = {sensor.NAME: sensor for sensor in (KinectOne, KinectTwo)}
 
 
+def object_of(session):
+    """Mesh of a recorded session's object: points (n, 3), faces, albedo a point."""
+    truth = np.load(session / "groundtruth_mesh.npz")
+    return truth["v"].astype(float), truth["f"].astype(int), truth["albedo"].astype(float)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("object", choices=sorted(OBJECTS))
+    parser.add_argument("object", help=f"{', '.join(sorted(OBJECTS))}, or the folder of a session")
     parser.add_argument("out", type=Path, help="a folder that is not there yet")
     parser.add_argument("--sensor", choices=sorted(SENSORS), default="kinect2")
     parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--path", choices=["round", "above", "front"], help="default: as fits the object; round for that of a session")
     parser.add_argument("--turns", type=float, default=1.0, help="how often the hand goes round")
     parser.add_argument("--gamma", type=float, help="default: 0.80 for a Kinect I, 0.87 for a Kinect II")
     parser.add_argument("--lobe", type=float, help="power of the cosine by which the light falls; default: 0 and 1.5")
@@ -341,12 +349,17 @@ def main():
     args.lens = kind_of_sensor.LENS if args.lens is None else args.lens
 
     random = np.random.default_rng(args.seed)
-    (v, f, albedo), kind = OBJECTS[args.object](random)
+    if Path(args.object).is_dir():
+        (v, f, albedo), kind = object_of(Path(args.object)), "round"
+    elif args.object in OBJECTS:
+        (v, f, albedo), kind = OBJECTS[args.object](random)
+    else:
+        parser.error(f"{args.object}: neither a folder nor one of {', '.join(sorted(OBJECTS))}")
     scene = Scene(merged([(v, f, albedo), surroundings(random)]))
     sensor = kind_of_sensor(scene, Gathering(scene, len(f), args.bounces, random), args, v.min(0) + [-0.01, -0.01, 0.0005], v.max(0) + 0.01, random)
     for name in ("depth", "ir"):
         (args.out / name).mkdir(parents=True, exist_ok=False)
-    poses = path(kind, args.frames, args.turns, (v.min(0) + v.max(0)) / 2, sensor.REACH_M, args.tremor, random)
+    poses = path(args.path or kind, args.frames, args.turns, (v.min(0) + v.max(0)) / 2, sensor.REACH_M, args.tremor, random)
     lists = {"depth": ["# timestamp filename"], "ir": ["# timestamp filename"], "groundtruth": ["# timestamp tx ty tz qx qy qz qw (world from camera)"]}
     now = 100.0 - 1 / 30
     for k, pose in enumerate(poses):
@@ -366,7 +379,7 @@ def main():
     camera = "\n".join(f"{key} = {value}" for key, value in sensor.CAMERA.items())
     low, high = v.min(0) + [0, 0, 0.01], v.max(0) + 0.005
     (args.out / "session.toml").write_text(
-        f'name = "{args.object}-{args.sensor}"\nsensor = "{args.sensor}"\ndepth_units_per_metre = {sensor.DEPTH_UNITS}\nir_full_scale = {sensor.FULL_SCALE}\n\n'
+        f'name = "{Path(args.object).name}-{args.sensor}"\nsensor = "{args.sensor}"\ndepth_units_per_metre = {sensor.DEPTH_UNITS}\nir_full_scale = {sensor.FULL_SCALE}\n\n'
         f"[ir_camera]\n{camera}\n\n[light]\nposition = {sensor.LIGHT.tolist()}\nkind = \"{sensor.KIND}\"\n\n"
         f"[object]\nmin = {low.round(4).tolist()}\nmax = {high.round(4).tolist()}\n")
 
