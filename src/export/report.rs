@@ -170,6 +170,8 @@ pub struct ToldLight {
     pub light_moved_m: f64,
     /// Exponent of the emission's cosine about the optical axis.
     pub lobe_power: f64,
+    /// That of the calibration.
+    pub believed_lobe_power: f64,
     /// The white level of the calibration by that gamma, if it has one.
     pub white_level: Option<f64>,
 }

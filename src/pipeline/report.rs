@@ -301,6 +301,7 @@ fn told_light(told: &Contradiction) -> ToldLight {
         light_position_m: light.position_m,
         light_moved_m: told.light_moved_m,
         lobe_power: light.lobe_power,
+        believed_lobe_power: told.believed_lobe_power,
         white_level: light.white_level,
     }
 }

@@ -94,6 +94,8 @@ const MAX_JUDGED_MISFIT: f64 = 2.5;
 pub struct Contradiction {
     /// Gamma as it was believed.
     pub believed_gamma: f64,
+    /// Power of the light's lobe as it was believed.
+    pub believed_lobe_power: f64,
     /// How far across the optical axis the light stands from where it was believed, metres.
     pub light_moved_m: f64,
     /// The one instead.
@@ -106,6 +108,7 @@ impl Contradiction {
         let moved = believed.with(&calibration).light.position - believed.light.position;
         Contradiction {
             believed_gamma: believed.calibration.gamma,
+            believed_lobe_power: believed.light.lobe_power,
             light_moved_m: moved.xy().norm(),
             calibration,
         }
@@ -131,10 +134,11 @@ impl fmt::Display for Contradiction {
         write!(
             f,
             "the shading images contradict the calibration: they tell a gamma of {gamma:.2}, not {:.2}, a light {:.0} mm from where \
-             it is stated, and a lobe of cosine to the power of {:.1}",
+             it is stated, and a lobe of cosine to the power of {:.1}, not {:.1}",
             self.believed_gamma,
             1e3 * self.light_moved_m,
-            light.lobe_power
+            light.lobe_power,
+            self.believed_lobe_power
         )
     }
 }
