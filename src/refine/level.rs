@@ -111,6 +111,17 @@ impl Level {
         Level::new(mesh, 0.5 * self.edge_length_m, from_coarser, params)
     }
 
+    /// Root mean square of the slopes of a change of displacements along the edges, radians where it is small.
+    pub fn turned_rad(&self, before_m: &[f64], after_m: &[f64]) -> f64 {
+        let change = |vertex: u32| after_m[vertex as usize] - before_m[vertex as usize];
+        let edges = &self.edges.edges;
+        let squares = edges
+            .iter()
+            .map(|&[p, q]| (change(p) - change(q)).powi(2))
+            .sum::<f64>();
+        (squares / edges.len().max(1) as f64).sqrt() / self.edge_length_m
+    }
+
     /// Every two neighbouring sites.
     pub fn neighbours(&self) -> &[[u32; 2]] {
         let of_faces = self.neighbouring_faces.as_deref();
@@ -257,6 +268,28 @@ mod tests {
         assert_eq!(albedo.tints.len(), fine.mesh.vertices.len());
         let mut pairs = albedo.by_site.iter().zip(&albedo.labels);
         assert!(pairs.all(|(&albedo, &label)| albedo == f64::from(label)));
+    }
+
+    #[test]
+    fn a_tilt_turns_a_plane_by_its_slope_along_edges_and_a_shift_by_nothing() {
+        let object = RippledPlane { amplitude_m: 0.0 }.mesh(0.004);
+        let level = levels(&object, &of_edge(0.004, 1)).expect("a surface");
+        let [level] = &level[..] else {
+            panic!("{} levels", level.len());
+        };
+        let by = |slope: f64| -> Vec<f64> {
+            let places = level.mesh.vertices.iter();
+            places.map(|p| 0.001 + slope * p.x).collect()
+        };
+        let (flat, shifted, tilted) = (vec![0.0; by(0.0).len()], by(0.0), by(0.1));
+        assert!(level.turned_rad(&flat, &shifted) < 1e-9);
+        // Edges go every way: half of the square of a tilt lies along them.
+        let turned = level.turned_rad(&flat, &tilted) / (0.1 / 2f64.sqrt());
+        assert!((turned - 1.0).abs() < 0.15, "{turned}");
+        assert_eq!(
+            level.turned_rad(&shifted, &tilted),
+            level.turned_rad(&tilted, &shifted)
+        );
     }
 
     #[test]

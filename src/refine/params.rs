@@ -20,7 +20,9 @@ pub struct RefineParams {
     pub max_vertices: usize,
     /// Outer rounds, Eq. (9), before the last one.
     pub n_rounds: usize,
-    /// Accepted Levenberg–Marquardt steps a round at most; on meshes coarser than the finest half as many again.
+    /// Turns that a round takes at most until the surface rests; 1 is each round once.
+    pub max_turns: usize,
+    /// Accepted Levenberg–Marquardt steps a turn at most; on meshes coarser than the finest half as many again.
     pub max_steps: usize,
     /// Size of the patches whose mean displacement the depth sensor holds, metres: Eq. (8).
     pub patch_m: f64,
@@ -59,6 +61,7 @@ impl Default for RefineParams {
             edge_length_m: 0.0,
             max_vertices: 250_000,
             n_rounds: 3,
+            max_turns: 9,
             max_steps: 2,
             patch_m: 0.02,
             patch_sigma_m: 0.00018,
@@ -86,6 +89,7 @@ impl RefineParams {
         for (key, value, low, high) in [
             ("max_vertices", self.max_vertices as f64, 100.0, 5e6),
             ("n_rounds", self.n_rounds as f64, 1.0, 50.0),
+            ("max_turns", self.max_turns as f64, 1.0, 50.0),
             ("max_steps", self.max_steps as f64, 1.0, 50.0),
             ("patch_sigma_m", self.patch_sigma_m, 1e-6, 0.1),
             ("slope_sigma_rad", self.slope_sigma_rad, 1e-4, 2.0),

@@ -18,7 +18,7 @@ use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::robust::Tukey;
 use crate::snapshot::ShadingSnapshot;
-use nalgebra::{Point3, Vector6};
+use nalgebra::{Point3, Translation3, Vector6};
 
 const RIPPLED: RippledPlane = RippledPlane {
     amplitude_m: 0.0003,
@@ -207,6 +207,64 @@ fn alignment_brings_a_moved_view_back() {
     assert!((views[0].gain - 1.0).abs() < 0.01);
 }
 
+/// Mean angle between the normals of a mesh and of the true surface away from the border, radians.
+fn normal_error(truth: &RippledPlane, mesh: &TriMesh) -> f64 {
+    let normals = mesh.vertex_normals();
+    let inner = |p: &Point3<f64>| p.x.abs() < 0.03 && p.y.abs() < 0.03;
+    let angles: Vec<f64> = mesh
+        .vertices
+        .iter()
+        .zip(&normals)
+        .filter(|(p, _)| inner(p))
+        .map(|(p, n)| n.angle(&truth.normal(p.x, p.y)))
+        .collect();
+    angles.iter().sum::<f64>() / angles.len() as f64
+}
+
+#[test]
+fn steep_ripples_at_wrong_poses_take_many_turns() {
+    let (rays, calibration) = (rays(), calibration());
+    let optics = optics(&rays, &calibration);
+    let base = FLAT.mesh(0.0015);
+    // Error of the normals, as a share of the base surface's, and steps by so many turns at most.
+    let refined = |hidden: &RippledPlane, max_turns: usize| {
+        let poses = poses(0.5);
+        let moved = poses.iter().enumerate().map(|(k, pose)| {
+            let mut snapshot = hidden.snapshot(&optics, pose);
+            let angle = 2.4 * k as f64;
+            let off = Translation3::new(0.002 * angle.cos(), 0.002 * angle.sin(), 0.0);
+            snapshot.world_from_camera = off * snapshot.world_from_camera;
+            snapshot
+        });
+        let snapshots: Vec<_> = moved.collect();
+        let params = RefineParams {
+            edge_length_m: 0.0012,
+            max_turns,
+            // Its images are of points.
+            integrate_pixels: false,
+            ..RefineParams::default()
+        };
+        let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| true)
+            .expect("everything is visible");
+        let left = normal_error(hidden, &refined.mesh) / normal_error(hidden, &base);
+        (left, refined.iterations.len())
+    };
+    // As steep as 32°.
+    let steep = RippledPlane {
+        amplitude_m: 0.0012,
+    };
+    let ((once, _), (resting, n_steep)) = (refined(&steep, 1), refined(&steep, 9));
+    assert!(
+        resting < 0.5 * once,
+        "{once} by one turn, {resting} by more"
+    );
+    let (_, n_shallow) = refined(&RIPPLED, 9);
+    assert!(
+        n_steep > n_shallow,
+        "{n_steep} steps, {n_shallow} if shallow"
+    );
+}
+
 #[test]
 fn refinement_finds_ripples_that_the_base_lacks() {
     let (rays, calibration) = (rays(), calibration());
@@ -230,18 +288,7 @@ fn refinement_finds_ripples_that_the_base_lacks() {
         energies.iter().all(|(before, after)| after < before),
         "the energy never rises"
     );
-    let error = |mesh: &TriMesh| {
-        let normals = mesh.vertex_normals();
-        let inner = |p: &Point3<f64>| p.x.abs() < 0.03 && p.y.abs() < 0.03;
-        let angles: Vec<f64> = mesh
-            .vertices
-            .iter()
-            .zip(&normals)
-            .filter(|(p, _)| inner(p))
-            .map(|(p, n)| n.angle(&RIPPLED.normal(p.x, p.y)))
-            .collect();
-        angles.iter().sum::<f64>() / angles.len() as f64
-    };
+    let error = |mesh: &TriMesh| normal_error(&RIPPLED, mesh);
     let (before, after) = (error(&base), error(&refined.mesh));
     assert!(
         after < 0.4 * before,

@@ -137,6 +137,7 @@ max_snapshots = 6
 [refine]
 edge_length_m = 0.006
 n_rounds = 1
+max_turns = 1
 max_steps = 1
 [worker]
 turns = \"shared\"
