@@ -74,7 +74,7 @@ impl Clock {
         is_due.then_some(progress)
     }
 
-    /// The rounds that are over tell how long the others take.
+    /// The rounds that are over tell how long the others take; `None` where they do not, or one takes longer, by more turns.
     fn secs_left(&self, n_rounds: usize, now: Instant) -> Option<f64> {
         let ((round, started), began) = (self.round?, self.began?);
         let n_over = round - 1;
@@ -84,7 +84,8 @@ impl Clock {
         let secs_a_round = started.as_secs_f64() / n_over as f64;
         let in_round = (now - began).saturating_sub(started).as_secs_f64();
         let n_left = n_rounds.saturating_sub(n_over) as f64;
-        Some((n_left * secs_a_round - in_round).max(0.0))
+        let left = n_left * secs_a_round - in_round;
+        (left > 0.0).then_some(left)
     }
 }
 
@@ -114,8 +115,8 @@ mod tests {
         // Nothing new but time.
         assert_eq!(tell(12.0, 2, 2), None);
         assert_eq!(tell(13.5, 2, 2).unwrap().secs_left, Some(27.5));
-        // The last round takes longer than the others did.
+        // The last round takes as long as the others did, then longer.
         assert_eq!(tell(31.0, 4, 8).unwrap().secs_left, Some(10.0));
-        assert_eq!(tell(99.0, 4, 8).unwrap().secs_left, Some(0.0));
+        assert_eq!(tell(99.0, 4, 8).unwrap().secs_left, None);
     }
 }

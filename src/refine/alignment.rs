@@ -26,7 +26,7 @@ pub struct AlignmentParams {
     /// tell as much as one. Taken for independent, they let views drift along with a surface that is slowly wrong. 0.045 to 0.09 are
     /// as good on most scans; smaller values make a head all round worse.
     pub correlation_m: f64,
-    /// Gauss-Newton steps a round.
+    /// Gauss-Newton steps a turn of a round.
     pub iterations: usize,
 }
 

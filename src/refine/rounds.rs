@@ -1,4 +1,4 @@
-//! One outer round: visibility, the views' poses and gains, albedo, then displacements.
+//! One turn of an outer round: visibility, the views' poses and gains, albedo, then displacements.
 
 use super::albedo::{Albedo, AlbedoMode, AlbedoParams, Groups};
 use super::alignment::{AlignmentTarget, align_view};
@@ -56,7 +56,7 @@ const CUTOFFS: [f64; 3] = [9.0, 6.5, Tukey::EFFICIENT_CUTOFF];
 
 /// Times that albedos of one surface, and its tints, are estimated anew without what the last estimate shows to be outliers. Arbitrary.
 const REWEIGHTINGS: usize = 3;
-/// The solve of a round ends with the step that lowers the energy by less than this share, since the next round weighs the images anew.
+/// The solve of a turn ends with the step that lowers the energy by less than this share, since the next one weighs the images anew.
 /// Arbitrary.
 const MIN_DECREASE: f64 = 1e-4;
 /// No vertex moves farther in one step, along its normal, than so many lengths of an edge: one whose ends go opposite ways then turns
@@ -130,7 +130,7 @@ impl Rounds<'_> {
         )
     }
 
-    /// Runs a round with a set of views, on its surface's sites that they see; the others stay at their tracked poses. `accepted` is told
+    /// Runs a turn of a round with a set of views, on its surface's sites that they see; the others stay at their tracked poses. `accepted` is told
     /// of each step and returns false to cancel.
     pub fn round(
         &self,
@@ -191,7 +191,7 @@ impl Rounds<'_> {
         status
     }
 
-    /// Accepted steps of a round at most.
+    /// Accepted steps of a turn at most.
     fn max_steps(&self) -> usize {
         let on_finest = self.params.max_steps;
         match self.level.edge_length_m > self.params.edge_length_m {

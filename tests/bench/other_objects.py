@@ -2,7 +2,7 @@
 """Writes a simulated session of another object, as a Kinect would have recorded it, with its true surface and poses.
 
     other_objects.py OBJECT OUT [--sensor kinect1] [--frames N] [--gamma G] [--lobe POWER] [--lens POWER] [--tremor MM]
-                     [--bounces N] [--seed S]
+                     [--bounces N] [--seed S] [--turns N] [--path KIND]
 
 Objects: `vase` (flutes, beads, painted bands, all round), `tablet` (wedges pressed into clay, from the front), `stained` (the
 same, of an albedo that changes slowly), `painted` (the same, with an ornament), `gear` (sharp
@@ -349,12 +349,12 @@ def main():
     args.lens = kind_of_sensor.LENS if args.lens is None else args.lens
 
     random = np.random.default_rng(args.seed)
-    if Path(args.object).is_dir():
-        (v, f, albedo), kind = object_of(Path(args.object)), "round"
-    elif args.object in OBJECTS:
+    if args.object in OBJECTS:
         (v, f, albedo), kind = OBJECTS[args.object](random)
+    elif (Path(args.object) / "groundtruth_mesh.npz").is_file():
+        (v, f, albedo), kind = object_of(Path(args.object)), "round"
     else:
-        parser.error(f"{args.object}: neither a folder nor one of {', '.join(sorted(OBJECTS))}")
+        parser.error(f"{args.object}: neither a folder with groundtruth_mesh.npz nor one of {', '.join(sorted(OBJECTS))}")
     scene = Scene(merged([(v, f, albedo), surroundings(random)]))
     sensor = kind_of_sensor(scene, Gathering(scene, len(f), args.bounces, random), args, v.min(0) + [-0.01, -0.01, 0.0005], v.max(0) + 0.01, random)
     for name in ("depth", "ir"):
@@ -379,7 +379,7 @@ def main():
     camera = "\n".join(f"{key} = {value}" for key, value in sensor.CAMERA.items())
     low, high = v.min(0) + [0, 0, 0.01], v.max(0) + 0.005
     (args.out / "session.toml").write_text(
-        f'name = "{Path(args.object).name}-{args.sensor}"\nsensor = "{args.sensor}"\ndepth_units_per_metre = {sensor.DEPTH_UNITS}\nir_full_scale = {sensor.FULL_SCALE}\n\n'
+        f'name = "{Path(args.object).resolve().name}-{args.sensor}"\nsensor = "{args.sensor}"\ndepth_units_per_metre = {sensor.DEPTH_UNITS}\nir_full_scale = {sensor.FULL_SCALE}\n\n'
         f"[ir_camera]\n{camera}\n\n[light]\nposition = {sensor.LIGHT.tolist()}\nkind = \"{sensor.KIND}\"\n\n"
         f"[object]\nmin = {low.round(4).tolist()}\nmax = {high.round(4).tolist()}\n")
 
