@@ -155,7 +155,7 @@ pub struct RefinementBody {
     pub energy_share: Option<f64>,
     /// Error of the intensity in images held out, share of its mean, root mean square, once it is done.
     pub rmse: Option<f64>,
-    /// Seconds that are left.
+    /// Seconds that are left, where the rounds that are over tell.
     pub secs_left: Option<f64>,
     /// What is to be said of its ending; of one that waits or runs, why its last attempt failed, or that its outputs found no room on the
     /// disk, for which it waits behind others.

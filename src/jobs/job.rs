@@ -99,7 +99,7 @@ pub struct JobProgress {
     pub step: usize,
     /// Energy of the last step, share of the first.
     pub energy_share: f64,
-    /// Seconds that are left, once a round is over.
+    /// Seconds that are left, once a round is over, and until one outlasts what those before it tell.
     pub secs_left: Option<f64>,
 }
 

@@ -1,8 +1,9 @@
 //! Refinement from shading images: Section 4 of the paper.
 //!
 //! The base mesh is cut to the object, remeshed to a uniform edge length, and displaced along its normals until Eq. (1)
-//! predicts what every shading image shows. Each turn of an outer round re-estimates visibility, the pose and gain of each view, the
-//! albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed normals.
+//! predicts what every shading image shows. Each turn of an outer round re-estimates visibility, the pose and gain of each view,
+//! the albedo and the scale of the residuals, then solves for the displacements; Eq. (9) moves the surface along refreshed
+//! normals.
 //!
 //! Light that arrives over other surfaces is predicted beside the lamp's. A calibration that the images contradict is replaced by what they
 //! say, and the gloss of each material is predicted where they show it ([`Gloss`](crate::shading::Gloss)). Narrow highlights are left to

@@ -246,8 +246,8 @@ impl Preparation {
         status
     }
 
-    /// Runs a round on its level. The last one there before the last of all, and that one, are repeated until they hardly turn the surface any
-    /// more: poses, gains and albedo are found with the surface held and the surface with them, so that steep relief needs many turns.
+    /// Runs a round on its level. The last one there before the last of all, and that one, are repeated until they hardly turn the surface
+    /// any more: poses, gains and albedo are found with the surface held and the surface with them, so that steep relief needs many turns.
     fn take_turns(
         &self,
         round: usize,
@@ -269,7 +269,7 @@ impl Preparation {
                 _ => rounds.sites(&state.surface.mesh, &state.views, learning, &state.albedo),
             };
             let before_m = state.surface.total_m.clone();
-            status = rounds.round(round, learning, &sites, state, accepted);
+            status = rounds.turn(round, learning, &sites, state, accepted);
             let turned_rad = rounds.level.turned_rad(&before_m, &state.surface.total_m);
             if status.is_final() || turned_rad < RESTING_RAD {
                 break;

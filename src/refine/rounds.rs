@@ -130,9 +130,9 @@ impl Rounds<'_> {
         )
     }
 
-    /// Runs a turn of a round with a set of views, on its surface's sites that they see; the others stay at their tracked poses. `accepted` is told
-    /// of each step and returns false to cancel.
-    pub fn round(
+    /// Runs a turn of a round with a set of views, on its surface's sites that they see; the others stay at their tracked poses. `accepted`
+    /// is told of each step and returns false to cancel.
+    pub fn turn(
         &self,
         round: usize,
         learning: ViewSet,
