@@ -20,6 +20,8 @@ mod couplings;
 mod crop;
 mod dissection;
 mod edge_mask;
+#[cfg(test)]
+mod endings_tests;
 mod energy;
 mod error;
 mod evidence;

@@ -14,7 +14,7 @@ use super::site_motion::{Linearisation, SiteMotion};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::SolverParams;
 use super::surface::Surface;
-use super::{RefineError, RefineParams, RefineStatus, Subject, patches, refine};
+use super::{RefineError, RefineParams, Subject, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::robust::Tukey;
 use crate::snapshot::ShadingSnapshot;
@@ -305,24 +305,6 @@ fn refinement_finds_ripples_that_the_base_lacks() {
             .iter()
             .all(|view| view.rmse_after < 0.5 * view.rmse_before)
     );
-}
-
-#[test]
-fn cancelling_keeps_what_was_reached() {
-    let (rays, calibration) = (rays(), calibration());
-    let optics = optics(&rays, &calibration);
-    let base = FLAT.mesh(0.003);
-    let snapshots: Vec<_> = poses(0.5)
-        .iter()
-        .map(|pose| RIPPLED.snapshot(&optics, pose))
-        .collect();
-    let params = RefineParams {
-        edge_length_m: 0.003,
-        ..RefineParams::default()
-    };
-    let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| false).expect("visible");
-    assert_eq!(refined.status, RefineStatus::Cancelled);
-    assert_eq!(refined.iterations.len(), 1);
 }
 
 #[test]
