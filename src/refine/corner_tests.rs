@@ -6,9 +6,8 @@ use super::level::coarsest;
 use super::optics::Optics;
 use super::params::RefineParams;
 use super::preparation::{Preparation, first_views, views_of};
-use super::scenes::{FULL_SCALE, calibration, image, optics};
+use super::scenes::{FULL_SCALE, calibration, image, optics, whole};
 use super::self_calibration::Told;
-use super::subject::Subject;
 use super::view::{ImageTrust, View, ViewContext};
 use crate::geometry::camera::tests::distorted_camera;
 use crate::geometry::{Pose, RayGrid, TriMesh, increment_about};
@@ -209,12 +208,7 @@ fn indirect_light_by_which_images_held_out_differ_more_is_not_taken() {
     let optics = optics(&rays, &calibration);
     let scene = mesh(80);
     let snapshots = snapshots(&optics, REFLECTED);
-    let subject = Subject {
-        scene: &scene,
-        object: &scene,
-        snapshots: &snapshots,
-        optics: &optics,
-    };
+    let subject = whole(&scene, &snapshots, &optics);
     let params = params();
     let level = coarsest(&scene, &params).expect("a surface");
     let trial = CalibrationTrial {
@@ -251,12 +245,7 @@ fn a_dark_corner_is_not_taken_for_one_of_plaster() {
         calibration.light.white_level = white_level;
         let optics = optics(&rays, &calibration);
         let snapshots = snapshots(&optics, 0.3);
-        let subject = Subject {
-            scene: &scene,
-            object: &scene,
-            snapshots: &snapshots,
-            optics: &optics,
-        };
+        let subject = whole(&scene, &snapshots, &optics);
         let params = params();
         let all = first_views(snapshots.len());
         let prepared = Preparation::new(&subject, &params, all).expect("a surface");

@@ -2,9 +2,9 @@
 
 use super::energy::Problem;
 use super::priors::PriorWeights;
-use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, with_problem};
+use super::scenes::{ALBEDO, RippledPlane, calibration, optics, poses, rays, whole, with_problem};
 use super::solver::{Iteration, Minimum, Solver, SolverParams};
-use super::{RefineParams, RefineStatus, Refinement, Subject, refine};
+use super::{RefineParams, RefineStatus, Refinement, refine};
 use crate::robust::Tukey;
 
 const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
@@ -30,12 +30,7 @@ fn refined(accepted: impl FnMut(&Iteration) -> bool) -> Refinement {
     let base = FLAT.mesh(EDGE_M);
     let poses = poses(0.5);
     let snapshots: Vec<_> = poses.iter().map(|p| RIPPLED.snapshot(&optics, p)).collect();
-    let subject = Subject {
-        scene: &base,
-        object: &base,
-        snapshots: &snapshots,
-        optics: &optics,
-    };
+    let subject = whole(&base, &snapshots, &optics);
     refine(&subject, &params(), accepted).expect("everything is visible")
 }
 

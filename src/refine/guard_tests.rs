@@ -2,11 +2,13 @@
 
 use super::error::MAX_BELIEVABLE_RMSE;
 use super::held_out::{HeldOut, ImageError, Judgement};
-use super::scenes::{FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays};
+use super::scenes::{
+    FULL_SCALE, RippledPlane, calibration, optics, poses, poses_all_round, rays, whole,
+};
 use super::sites::SiteKind;
 use super::surface::unit_normal;
 use super::{
-    ImageTrust, MAX_MISFIT, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement, Subject,
+    ImageTrust, MAX_MISFIT, MAX_VIEWS, Optics, RefineError, RefineParams, Refinement,
     cross_validate, refine, slow_gain_limit,
 };
 use crate::geometry::{Pose, TriMesh};
@@ -58,13 +60,7 @@ fn refine_lit(
     for (k, snapshot) in snapshots.iter_mut().enumerate() {
         change(k, snapshot);
     }
-    let subject = Subject {
-        scene: object,
-        object,
-        snapshots: &snapshots,
-        optics,
-    };
-    refine(&subject, params, |_| true)
+    refine(&whole(object, &snapshots, optics), params, |_| true)
 }
 
 #[test]
@@ -156,12 +152,7 @@ fn edges_are_as_long_as_the_views_that_look_at_the_object_want_them() {
         .map(|pose| FLAT.snapshot(&optics, pose))
         .collect();
     let footprint_m = |snapshots: &[ShadingSnapshot]| {
-        let subject = Subject {
-            scene: &base,
-            object: &base,
-            snapshots,
-            optics: &optics,
-        };
+        let subject = whole(&base, snapshots, &optics);
         (subject.footprint_m(), subject.images_of_it().len())
     };
     let (of_all_m, n_all) = footprint_m(&snapshots);
@@ -359,12 +350,7 @@ fn refine_all_round(
         ..RefineParams::default()
     };
     params.self_calibration.enabled = is_asked;
-    let subject = Subject {
-        scene: base,
-        object: base,
-        snapshots,
-        optics,
-    };
+    let subject = whole(base, snapshots, optics);
     refine(&subject, &params, |_| true)
 }
 
@@ -559,12 +545,7 @@ fn more_views_than_can_be_used_are_refused() {
     let optics = optics(&rays, &calibration);
     let base = FLAT.mesh(0.0025);
     let snapshots = vec![FLAT.snapshot(&optics, &poses(0.0)[0]); MAX_VIEWS + 1];
-    let subject = Subject {
-        scene: &base,
-        object: &base,
-        snapshots: &snapshots,
-        optics: &optics,
-    };
+    let subject = whole(&base, &snapshots, &optics);
     let result = refine(&subject, &RefineParams::default(), |_| true);
     assert_eq!(
         result.err(),
@@ -640,12 +621,7 @@ fn one_view_is_refined_from_and_judged_by_nobody() {
     let optics = optics(&rays, &calibration);
     let base = FLAT.mesh(0.0025);
     let snapshots = [RIPPLED.snapshot(&optics, &poses(0.4)[1])];
-    let subject = Subject {
-        scene: &base,
-        object: &base,
-        snapshots: &snapshots,
-        optics: &optics,
-    };
+    let subject = whole(&base, &snapshots, &optics);
     let refined = refine(&subject, &RefineParams::default(), |_| true).expect("visible");
     assert_eq!(refined.judgement, Judgement::default());
     assert!(refined.rmse_after < refined.rmse_before);
@@ -660,12 +636,7 @@ fn every_view_is_left_out_once() {
         .iter()
         .map(|pose| RIPPLED.snapshot(&optics, pose))
         .collect();
-    let subject = Subject {
-        scene: &base,
-        object: &base,
-        snapshots: &snapshots,
-        optics: &optics,
-    };
+    let subject = whole(&base, &snapshots, &optics);
     let params = RefineParams {
         edge_length_m: 0.0025,
         n_rounds: 2,
@@ -693,12 +664,7 @@ fn views_that_alone_see_the_surface_are_not_judged_by_and_the_others_are() {
         snapshot.ir_counts.data_mut().fill(65535.0);
     }
     let judged_of = |snapshots: &[ShadingSnapshot]| {
-        let subject = Subject {
-            scene: &base,
-            object: &base,
-            snapshots,
-            optics: &optics,
-        };
+        let subject = whole(&base, snapshots, &optics);
         let params = RefineParams {
             n_rounds: 1,
             ..coarse()

@@ -12,7 +12,7 @@ use super::sites::{Sites, ViewSet};
 use super::solver::{Solver, SolverParams};
 use super::surface::Surface;
 use super::view::{ImageTrust, View, ViewContext};
-use super::{RefineParams, patches};
+use super::{RefineParams, Subject, patches};
 use crate::fusion::DepthNoise;
 use crate::geometry::{CameraModel, EdgeAdjacency, Pose, RayGrid, TriMesh, increment};
 use crate::shading::{Calibration, Gloss, NearLight};
@@ -271,6 +271,20 @@ pub fn views_of(snapshots: &[ShadingSnapshot], base: &TriMesh, believed: &Optics
     };
     let view = |snapshot| View::new(snapshot, &context);
     snapshots.iter().map(view).collect()
+}
+
+/// The whole mesh as the object.
+pub fn whole<'a>(
+    base: &'a TriMesh,
+    snapshots: &'a [ShadingSnapshot],
+    optics: &'a Optics,
+) -> Subject<'a> {
+    Subject {
+        scene: base,
+        object: base,
+        snapshots,
+        optics,
+    }
 }
 
 /// A mesh that nothing has displaced yet.

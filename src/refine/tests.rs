@@ -5,39 +5,23 @@ use super::couplings::Couplings;
 use super::energy::Problem;
 use super::numeric::JacobianMode;
 use super::observations::Observations;
-use super::optics::Optics;
 use super::priors::PriorWeights;
 use super::scenes::{
-    ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views,
+    ALBEDO, RippledPlane, calibration, optics, poses, rays, solved, surface_of, views, whole,
 };
 use super::site_motion::{Linearisation, SiteMotion};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::SolverParams;
 use super::surface::Surface;
-use super::{RefineError, RefineParams, Subject, patches, refine};
+use super::{RefineError, RefineParams, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::robust::Tukey;
-use crate::snapshot::ShadingSnapshot;
 use nalgebra::{Point3, Translation3, Vector6};
 
 const RIPPLED: RippledPlane = RippledPlane {
     amplitude_m: 0.0003,
 };
 const FLAT: RippledPlane = RippledPlane { amplitude_m: 0.0 };
-
-/// The whole mesh as the object.
-fn whole<'a>(
-    base: &'a TriMesh,
-    snapshots: &'a [ShadingSnapshot],
-    optics: &'a Optics,
-) -> Subject<'a> {
-    Subject {
-        scene: base,
-        object: base,
-        snapshots,
-        optics,
-    }
-}
 
 /// Displacements that look random and are not.
 fn shaken(surface: &Surface, amplitude_m: f64) -> Surface {
