@@ -72,13 +72,11 @@ impl Bounce {
 impl RangeBias {
     /// Takes what the cells of an image receive, row by row.
     pub(super) fn new(cells: CellGrid, bounces: &[Option<Bounce>]) -> Self {
+        // Borrowed: what is collected of an owned list stays in its memory, which is larger.
+        let filled = cells.filled(bounces);
         RangeBias {
             cells,
-            bounces: cells
-                .filled(bounces)
-                .into_iter()
-                .map(PackedBounce::from)
-                .collect(),
+            bounces: filled.iter().map(|&bounce| bounce.into()).collect(),
             is_measured: bounces.iter().map(Option::is_some).collect(),
         }
     }
