@@ -180,7 +180,7 @@ impl DepthCorrection {
                 let here = righted(depth_m);
                 let here = here.as_ref().unwrap_or(depth_m);
                 let bias = nearest.bias_on(model, multipath, here, world_from_camera);
-                let raw = multipath.corrected(depth_m, &nearest.live_bias(multipath), by, None);
+                let raw = multipath.corrected(depth_m, &nearest.prediction.bias, by, None);
                 let raw = righted(&raw).unwrap_or(raw);
                 multipath.corrected(&raw, &bias, None, known.white)
             }

@@ -6,7 +6,6 @@ use crate::{
     multipath::{Multipath, Prediction, RangeBias},
 };
 use depth_camera::Image;
-use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// One a frame, by time in nanoseconds of the device's clock.
@@ -64,16 +63,6 @@ impl Predictions {
 }
 
 impl Nearest<'_> {
-    /// The multipath that was taken off the frame while the scan went on; by patches alone where it is known of one near it, of which
-    /// edges lay elsewhere.
-    pub(super) fn live_bias(&self, multipath: &Multipath) -> Cow<'_, RangeBias> {
-        let bias = &self.prediction.bias;
-        match self.is_its_own {
-            true => Cow::Borrowed(bias),
-            false => Cow::Owned(multipath.by_patches(bias)),
-        }
-    }
-
     /// The multipath of the frame by the slant of a model's surface at a pose.
     pub(super) fn bias_on(
         &self,

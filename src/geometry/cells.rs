@@ -113,19 +113,6 @@ impl CellGrid {
         (cells, shares)
     }
 
-    /// The four cells whose middles lie around a pixel, with their bilinear shares of 1.
-    pub fn around_pixel(&self, (u, v): (usize, usize)) -> [(usize, f32); 4] {
-        let (left, right, along) = self.between(u as f32, self.columns);
-        let (above, below, down) = self.between(v as f32, self.rows);
-        let cell = |row: u32, column: u32| row as usize * self.columns + column as usize;
-        [
-            (cell(above, left), (1.0 - along) * (1.0 - down)),
-            (cell(above, right), along * (1.0 - down)),
-            (cell(below, left), (1.0 - along) * down),
-            (cell(below, right), along * down),
-        ]
-    }
-
     /// Gives cells without a value the mean of their neighbours, from the known ones outwards; all are 0 where none is known.
     pub fn filled<T>(&self, values: &[Option<T>]) -> Vec<T>
     where
@@ -215,18 +202,6 @@ impl CellGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_pixel_lies_between_the_same_cells_alone_as_among_others() {
-        let cells = CellGrid::new(100, 60, 9);
-        for pixel in [(0, 0), (3, 50), (47, 23), (99, 59)] {
-            let [u, v] = [pixel.0, pixel.1].map(|x| [x as f32; LANES]);
-            let (around, shares) = cells.around(&u, &v);
-            let alone = cells.around_pixel(pixel);
-            assert_eq!(alone.map(|(cell, _)| cell as u32), around.map(|c| c[0]));
-            assert_eq!(alone.map(|(_, share)| share), shares.map(|s| s[0]));
-        }
-    }
 
     #[test]
     fn what_is_linear_over_the_cells_is_linear_over_the_pixels_between_their_middles() {

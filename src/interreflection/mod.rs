@@ -14,7 +14,7 @@ mod sources;
 mod support;
 
 pub use indirect_light::IndirectLight;
-pub use patches::{Lit, PLACE_STEP_PX, PatchGrid, Radiances};
+pub use patches::{Lit, PatchGrid, Radiances};
 pub use receivers::{Receiver, receivers};
 pub use sources::{Sources, Way};
 

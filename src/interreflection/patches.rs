@@ -27,7 +27,7 @@ pub struct Lit {
 const COLUMNS: usize = 32;
 /// Pixels between those that are looked at.
 const STEP_PX: usize = 4;
-/// Columns of places that receive light: 4 pixels a place on a Kinect II. By places of 2 pixels brightness
+/// Columns of places that receive light, where the surface is known: 4 pixels a place on a Kinect II. By places of 2 pixels brightness
 /// would tell more than the driver's filter has left in the depth.
 const PLACE_COLUMNS: usize = 128;
 /// Pixels between those of them that are looked at.

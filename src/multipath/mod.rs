@@ -4,11 +4,11 @@
 //! it has come over a neighbouring surface (Fuchs, *Multipath interference compensation in time-of-flight camera images*,
 //! ICPR 2010; Jiménez et al., *Modelling and correction of multipath interference in time of flight cameras*, 2012). On the
 //! recorded bust that is 12 mm at the foot and nothing on top of the head. One infrared image and its depth hold what is
-//! needed to predict it: how bright every neighbour is as seen, and where it is (`bounce.rs`). What a place of an image receives is
-//! told by the patches of the surface that it lies on (`surface_bounces.rs`). The bias is that light over the direct one, which
-//! falls where light comes in slantingly: one frame's depth tells the surface's slant no finer than by patches of 16 pixels, a fused
-//! model and brightness together by 4 ([`Multipath::predict_on`]). Unknown is one number, how bright a perfectly white surface would
-//! be ([`WhiteLevel`]): it belongs to the device, and shows itself in a scan by how views of one place disagree ([`Evidence`]).
+//! needed to predict it: how bright every neighbour is as seen, and where it is (`bounce.rs`). The bias is that light over the
+//! direct one, which falls where light comes in slantingly: one frame's depth tells the surface's slant no finer than by patches of
+//! 16 pixels, a fused model and brightness together by 4 ([`Multipath::predict_on`]). Unknown is one number,
+//! how bright a perfectly white surface would be ([`WhiteLevel`]): it belongs to the device, and shows itself in a scan by how
+//! views of one place disagree ([`Evidence`]).
 //!
 //! Pure; a frame costs about a million pairs of patches. Not handled: more than one bounce in the *paths* (in the brightness
 //! all bounces are contained), gloss, and surfaces that neither the image nor the table's plane shows.
@@ -18,7 +18,6 @@ mod evidence;
 mod params;
 mod range_bias;
 mod search;
-mod surface_bounces;
 
 pub use evidence::{Evidence, Seen};
 pub use params::MultipathParams;
@@ -76,15 +75,14 @@ impl Multipath {
         let scene = LitScene::of_radiances(&self.grid, depth, &radiances.patches);
         let plausible_white = scene.plausible_white()?;
         let bounces = bounce::bounces(scene.patches(), &scene.sources());
-        let bounces = surface_bounces::at_places(&self.grid, depth, scene.patches(), &bounces);
         Some(Prediction {
-            bias: RangeBias::new(self.grid.places(), &bounces),
+            bias: RangeBias::new(self.grid.cells(), &bounces),
             radiances,
             plausible_white,
         })
     }
 
-    /// Predicts the multipath of a frame once more, by the slant of every place, where the surface is known: `gradient_at` gives that
+    /// Predicts the multipath of a frame once more, and four times as finely, where the surface is known: `gradient_at` gives that
     /// of its signed distance near a point, both in the camera frame, `depth_m` is the frame's depth (m), and `prediction` what the
     /// frame told by itself (`is_its_own`) or one near it did. A frame's own image says, by how bright places are among their
     /// neighbours, how slanting they are where the model's normals do not.
@@ -126,7 +124,7 @@ impl Multipath {
         LitScene::of_radiances(&self.grid, depth_m, &prediction.radiances.patches).plausible_white()
     }
 
-    /// A bias by the patches that views are compared by.
+    /// A bias that was predicted finely, by the patches that views are compared by.
     pub fn by_patches(&self, bias: &RangeBias) -> RangeBias {
         bias.coarsened(self.grid.cells())
     }

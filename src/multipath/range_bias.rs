@@ -6,43 +6,14 @@ use crate::geometry::{CellGrid, RayGrid};
 use crate::interreflection::WhiteLevel;
 use depth_camera::Image;
 
-/// The bias of a frame's ranges on a grid of cells: its patches, or the places between them.
+/// The bias of a frame's ranges on a grid of patches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RangeBias {
     cells: CellGrid,
-    /// Row by row; cells of which nothing is known have that of their neighbours.
-    bounces: Vec<PackedBounce>,
+    /// Row by row; patches without a measurement have that of their neighbours.
+    bounces: Vec<Bounce>,
     /// Which cells were measured.
     is_measured: Vec<bool>,
-}
-
-/// A bounce in half the memory, for one of each place is kept with every frame of a scan.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct PackedBounce {
-    share: u16,
-    range: u16,
-}
-
-/// Steps of the two: shares up to 8, and ranges up to 0.65 m, for a white level of 1/π.
-const SHARE_STEP: f32 = 1.0 / 8192.0;
-const RANGE_STEP_M: f32 = 1e-5;
-
-impl From<Bounce> for PackedBounce {
-    fn from(bounce: Bounce) -> Self {
-        PackedBounce {
-            share: (bounce.share / SHARE_STEP).round() as u16,
-            range: (bounce.range_m / RANGE_STEP_M).round() as u16,
-        }
-    }
-}
-
-impl From<PackedBounce> for Bounce {
-    fn from(packed: PackedBounce) -> Self {
-        Bounce {
-            share: f32::from(packed.share) * SHARE_STEP,
-            range_m: f32::from(packed.range) * RANGE_STEP_M,
-        }
-    }
 }
 
 /// No bias is taken to be larger than this, metres: in the contact of two surfaces patches are no points any more. What faces
@@ -52,10 +23,7 @@ const MAX_BIAS_M: f32 = 0.04;
 impl Bounce {
     /// Mean range of direct and bounced light beyond the direct one, metres: `s b/(1 + s w)` with s = 1/(π white).
     pub(super) fn bias_m(&self, white: Option<WhiteLevel>) -> f32 {
-        self.bias_of(strength(white) as f32)
-    }
-
-    fn bias_of(&self, strength: f32) -> f32 {
+        let strength = strength(white) as f32;
         (strength * self.range_m / (1.0 + strength * self.share)).min(MAX_BIAS_M)
     }
 
@@ -70,36 +38,34 @@ impl Bounce {
 }
 
 impl RangeBias {
-    /// Takes what the cells of an image receive, row by row.
+    /// Takes what the patches of an image receive, row by row.
     pub(super) fn new(cells: CellGrid, bounces: &[Option<Bounce>]) -> Self {
-        // Borrowed: what is collected of an owned list stays in its memory, which is larger.
-        let filled = cells.filled(bounces);
         RangeBias {
             cells,
-            bounces: filled.iter().map(|&bounce| bounce.into()).collect(),
+            bounces: cells.filled(bounces),
             is_measured: bounces.iter().map(Option::is_some).collect(),
         }
     }
 
-    /// The cells.
+    /// The cells whose patches they are.
     pub(super) fn cells(&self) -> &CellGrid {
         &self.cells
     }
 
-    /// What the cell at an index receives; `None` where nothing was measured.
-    pub(super) fn measured(&self, cell: usize) -> Option<Bounce> {
-        self.is_measured[cell].then(|| self.bounces[cell].into())
+    /// What the patch at an index receives; `None` where nothing was measured.
+    pub(super) fn measured(&self, cell: usize) -> Option<&Bounce> {
+        self.is_measured[cell].then(|| &self.bounces[cell])
     }
 
     /// The same on cells of which each holds several of these: the mean of what was measured in it.
     pub(super) fn coarsened(&self, cells: CellGrid) -> RangeBias {
         let mut sums = vec![(Bounce::default(), 0u32); cells.n_cells()];
-        for fine in 0..self.cells.n_cells() {
+        for (fine, bounce) in self.bounces.iter().enumerate() {
             if let Some(coarse) = cells.cell_of(self.cells.middle(fine))
-                && let Some(bounce) = self.measured(fine)
+                && self.is_measured[fine]
             {
                 let (sum, n) = &mut sums[coarse];
-                *sum = *sum + bounce;
+                *sum = *sum + *bounce;
                 *n += 1;
             }
         }
@@ -108,7 +74,7 @@ impl RangeBias {
         RangeBias::new(cells, &means)
     }
 
-    /// A depth image whose bias is changed from that of one white level to that of another, bilinear between the cells.
+    /// A depth image whose bias is changed from that of one white level to that of another, bilinear between the patches.
     pub(super) fn corrected(
         &self,
         depth_m: &Image<f32>,
@@ -116,10 +82,11 @@ impl RangeBias {
         from: Option<WhiteLevel>,
         to: Option<WhiteLevel>,
     ) -> Image<f32> {
-        let [from, to] = [from, to].map(|white| strength(white) as f32);
-        let bounces = self.bounces.iter().map(|&bounce| Bounce::from(bounce));
-        let change = bounces.map(|bounce| bounce.bias_of(to) - bounce.bias_of(from));
-        let change: Vec<f32> = change.collect();
+        let change: Vec<f32> = self
+            .bounces
+            .iter()
+            .map(|bounce| bounce.bias_m(to) - bounce.bias_m(from))
+            .collect();
         let change = self.cells.spread(&change);
         let pixels = depth_m
             .data()
@@ -138,21 +105,6 @@ impl RangeBias {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_packed_bounce_is_the_same_to_half_a_step() {
-        for (share, range_m) in [(0.0, 0.0), (0.0123, 0.00234), (1.7, 0.0456), (7.9, 0.65)] {
-            let back = Bounce::from(PackedBounce::from(Bounce { share, range_m }));
-            assert!((back.share - share).abs() < 0.51 * SHARE_STEP);
-            assert!((back.range_m - range_m).abs() < 0.51 * RANGE_STEP_M);
-        }
-        let largest = Bounce {
-            share: 100.0,
-            range_m: 5.0,
-        };
-        let back = Bounce::from(PackedBounce::from(largest));
-        assert!(back.share > 7.9 && back.range_m > 0.65);
-    }
 
     #[test]
     fn a_bias_changes_with_strength_until_it_is_as_large_as_is_believed() {

@@ -310,8 +310,6 @@ fn views_of_a_biased_scan_tell_that_there_is_multipath_and_corrected_ones_that_t
             (multipath.corrected(&depth, &bias, Some(WHITE), None), bias)
         })
         .collect();
-    let by_patches = seen.iter().map(|(_, bias)| multipath.by_patches(bias));
-    let by_patches: Vec<_> = by_patches.collect();
     let slope = |white: Option<WhiteLevel>| {
         let mut fusion = Fusion::new(distorted_camera(), noise, params.clone());
         let depths: Vec<Image<f32>> = seen
@@ -324,8 +322,8 @@ fn views_of_a_biased_scan_tell_that_there_is_multipath_and_corrected_ones_that_t
         let views: Vec<Seen> = depths
             .iter()
             .zip(&poses)
-            .zip(&by_patches)
-            .map(|((depth_m, world_from_camera), bias)| Seen {
+            .zip(&seen)
+            .map(|((depth_m, world_from_camera), (_, bias))| Seen {
                 depth_m,
                 world_from_camera,
                 bias,
