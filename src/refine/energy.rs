@@ -5,17 +5,16 @@
 //! pattern and are summed into one 3×3 block. Sites at vertices touch more ([`VertexSystem`]). Sums run over fixed tiles, in
 //! order.
 
-use super::MAX_VIEWS;
 use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
-use super::observations::{Observation, Observations, Shown};
+use super::observations::{Observation, Observations};
 use super::patches::Patch;
 use super::priors::PriorWeights;
 use super::sites::SiteKind;
 use super::surface::{Surface, normal_by_displacement, unit_normal};
 use super::tint::Tint;
 use super::vertex_system::VertexSystem;
-use crate::geometry::{EdgeAdjacency, TriMesh};
+use crate::geometry::EdgeAdjacency;
 use crate::robust::Tukey;
 use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
@@ -114,96 +113,7 @@ pub struct Site {
     tint: Option<Tint>,
 }
 
-/// The energy of a surface with given albedos of the groups, and the tints that it is about least for.
-pub struct Evaluation {
-    /// Its value.
-    pub energy: f64,
-    /// Tint of each site; `None` where it does not follow the surface and is as it was thought to be.
-    pub tints: Vec<Option<Tint>>,
-}
-
-/// Unit normals of a surface's sites.
-enum Normals<'a> {
-    OfFaces(&'a TriMesh),
-    OfVertices(Vec<Vector3<f64>>),
-}
-
-impl Normals<'_> {
-    /// Of a site; `None` where it has no area.
-    #[inline]
-    fn unit(&self, site: usize) -> Option<Vector3<f64>> {
-        match self {
-            Normals::OfFaces(mesh) => unit_normal(mesh, site).map(|(normal, _)| normal),
-            Normals::OfVertices(normals) => {
-                Some(normals[site]).filter(|normal| *normal != Vector3::zeros())
-            }
-        }
-    }
-}
-
 impl Problem<'_> {
-    /// Energy of the surface with the groups' albedos.
-    pub fn evaluate(&self, surface: &Surface, albedos: &[f64]) -> Evaluation {
-        let (n_sites, normals) = (self.labels.len(), self.normals(&surface.mesh));
-        let of_tile = |tile: usize| -> (f64, Vec<Option<Tint>>) {
-            let sites = tile * TILE..((tile + 1) * TILE).min(n_sites);
-            let mut shown = Vec::with_capacity(MAX_VIEWS);
-            let mut energy = 0.0;
-            let of_site = |index| {
-                let normal = normals.unit(index)?;
-                let (own, tint) = self.energy_of(surface, albedos, (index, normal), &mut shown);
-                energy += own;
-                tint
-            };
-            let tints = sites.map(of_site).collect();
-            (energy, tints)
-        };
-        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter().with_max_len(1);
-        // The priors keep one thread busy.
-        let (prior, tiles) = rayon::join(
-            || self.prior_energy(&surface.total_m),
-            || tiles.map(of_tile).collect::<Vec<_>>(),
-        );
-        Evaluation {
-            energy: tiles.iter().map(|(energy, _)| energy).sum::<f64>() + prior,
-            tints: tiles.into_iter().flat_map(|(_, tints)| tints).collect(),
-        }
-    }
-
-    fn normals<'m>(&self, mesh: &'m TriMesh) -> Normals<'m> {
-        match self.sites {
-            SiteKind::Face => Normals::OfFaces(mesh),
-            SiteKind::Vertex => Normals::OfVertices(mesh.vertex_normals()),
-        }
-    }
-
-    /// What a site adds to the energy with a normal, and its tint if that follows the surface. `shown` is room for what its views show.
-    fn energy_of(
-        &self,
-        surface: &Surface,
-        albedos: &[f64],
-        (index, normal): (usize, Vector3<f64>),
-        shown: &mut Vec<Shown>,
-    ) -> (f64, Option<Tint>) {
-        let seen = self.observations.of(index);
-        let moved_m = self.observations.moved_m(surface, index);
-        shown.clear();
-        // A view that a step turns the site away from does not cease to count: it shows what unlit surface would not.
-        shown.extend(seen.iter().map(|seen| {
-            let seen = seen.moved(moved_m);
-            seen.shown(&normal).unwrap_or_else(|| seen.unlit())
-        }));
-        let (group, start) = (albedos[self.labels[index] as usize], self.tints[index]);
-        let tint = match self.finds_tints {
-            true => Tint::best(seen, shown, group, self.loss, start),
-            false => None,
-        };
-        let albedo = group * tint.map_or(start, |tint| tint.factor);
-        let of_view = |view: &Shown| view.covered * self.loss.loss(view.residual(albedo));
-        let data: f64 = shown.iter().map(of_view).sum();
-        (data + tint.map_or(0.0, |tint| tint.energy()), tint)
-    }
-
     /// Tints of a surface as far as they may not be shape: where too few views tell one, it is as it was thought to be, and no less free.
     pub fn tints_apart(&self, surface: &Surface, albedos: &[f64]) -> Vec<Option<Tint>> {
         let found = self.evaluate(surface, albedos).tints;

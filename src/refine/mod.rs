@@ -23,6 +23,7 @@ mod edge_mask;
 #[cfg(test)]
 mod endings_tests;
 mod energy;
+mod evaluation;
 mod error;
 mod evidence;
 mod expansion;
@@ -55,6 +56,7 @@ mod rounds;
 mod scenes;
 mod self_calibration;
 mod single_view;
+mod side_by_side;
 mod site_gloss;
 mod site_motion;
 mod sites;

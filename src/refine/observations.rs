@@ -22,13 +22,13 @@ pub struct Observation {
     pub observed: f32,
     /// Light that arrives, towards the light, in the same unit: its product with the unit normal is the prediction for unit
     /// albedo. World frame.
-    light: [f32; 3],
+    pub light: [f32; 3],
     /// How much the site counts: the pixels that it covers, at most one.
     pub covered: f32,
     /// By how much `observed` changes as the site moves, per metre; 0 where pixels are held.
-    image_slope: f32,
+    pub image_slope: f32,
     /// The same of the prediction for unit albedo.
-    light_slope: f32,
+    pub light_slope: f32,
     /// Whether its pixels are clear of depth edges, so that no other surface is mixed in.
     pub is_clear: bool,
 }
@@ -92,25 +92,6 @@ impl Observation {
     }
 }
 
-/// What one view shows of a site, and what it would show for unit albedo: 0 where the light does not reach it.
-#[derive(Clone, Copy)]
-pub struct Shown {
-    /// Observed intensity, in its standard deviations.
-    pub observed: f64,
-    /// Predicted for unit albedo, in the same unit.
-    pub unit: f64,
-    /// As of [`Observation::covered`].
-    pub covered: f64,
-}
-
-impl Shown {
-    /// Eq. (6) of one view: observed less predicted intensity, in sigmas.
-    #[inline]
-    pub fn residual(&self, albedo: f64) -> f64 {
-        self.observed - albedo * self.unit
-    }
-}
-
 /// One site in one view, moved.
 pub struct Moved<'a> {
     seen: &'a Observation,
@@ -124,29 +105,10 @@ impl Moved<'_> {
         f64::from(self.seen.observed) + f64::from(self.seen.image_slope) * self.by_m
     }
 
-    /// What it shows; `None` where the surface faces away from the light.
-    #[inline]
-    pub fn shown(&self, normal: &Vector3<f64>) -> Option<Shown> {
-        Some(Shown {
-            observed: self.observed(),
-            unit: self.unit_prediction(normal)?,
-            covered: f64::from(self.seen.covered),
-        })
-    }
-
-    /// The same where the light does not reach the site.
-    pub fn unlit(&self) -> Shown {
-        Shown {
-            observed: self.observed(),
-            unit: 0.0,
-            covered: f64::from(self.seen.covered),
-        }
-    }
-
     /// As of [`Observation::residual`].
     #[inline]
     pub fn residual(&self, normal: &Vector3<f64>, albedo: f64) -> Option<f64> {
-        Some(self.shown(normal)?.residual(albedo))
+        Some(self.observed() - albedo * self.unit_prediction(normal)?)
     }
 
     /// Prediction for unit albedo, in sigmas; `None` where the surface faces away from the light.

@@ -223,8 +223,7 @@ impl Preparation {
     }
 
     /// Runs rounds with a set of views, from a state of the first one's level to the finest; the other views stay at their tracked poses.
-    /// The last round of a level before the last of all, and that one, take turns until the surface rests. `accepted` is told of each step
-    /// and returns false to cancel.
+    /// The last round of a level takes turns until the surface rests. `accepted` is told of each step and returns false to cancel.
     pub fn run(
         &self,
         rounds: Range<usize>,
@@ -246,8 +245,8 @@ impl Preparation {
         status
     }
 
-    /// Runs a round on its level. The last one there before the last of all, and that one, are repeated until they hardly turn the surface
-    /// any more: poses, gains and albedo are found with the surface held and the surface with them, so that steep relief needs many turns.
+    /// Runs a round on its level. The last one there is repeated until it hardly turns the surface any more: poses, gains and albedo are
+    /// found with the surface held and the surface with them, so that steep relief needs many turns.
     fn take_turns(
         &self,
         round: usize,
@@ -256,7 +255,7 @@ impl Preparation {
         accepted: &mut impl FnMut(Iteration) -> bool,
     ) -> RefineStatus {
         let level = self.level_of(round);
-        let goes_on = round + 1 < self.params.n_rounds && self.level_of(round + 1) == level;
+        let goes_on = round < self.params.n_rounds && self.level_of(round + 1) == level;
         let n_turns = if goes_on { 1 } else { self.params.max_turns };
         let rounds = self.rounds(level);
         let mut status = RefineStatus::IterationLimit;

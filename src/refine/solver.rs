@@ -1,6 +1,7 @@
 //! Levenberg–Marquardt on the robust energy.
 
-use super::energy::{Evaluation, Problem};
+use super::energy::Problem;
+use super::evaluation::Evaluation;
 use super::pattern::{Pattern, Step};
 use super::surface::Surface;
 use super::tint::Tint;

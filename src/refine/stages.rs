@@ -4,7 +4,8 @@
 
 use super::RefineError;
 use super::albedo::Albedo;
-use super::energy::{Block, Evaluation, NormalMatrix, Problem};
+use super::energy::{Block, NormalMatrix, Problem};
+use super::evaluation::Evaluation;
 use super::observations::Observations;
 use super::params::RefineParams;
 use super::pattern::Step;

@@ -8,7 +8,8 @@
 //! share to all views, as light over other surfaces does, no longer turns the surface either.
 
 use super::energy::Block;
-use super::observations::{Observation, Shown};
+use super::observations::Observation;
+use super::side_by_side::{OfSites, SITES, Shown};
 use crate::robust::Tukey;
 
 /// By which factor the albedo of a site differs from its group's, where its views tell.
@@ -34,44 +35,6 @@ const STEPS: usize = 4;
 const MAX_FACTOR: f64 = 5.0;
 
 impl Tint {
-    /// That for which the energy of a site is about least, if views enough see it: by what is `shown` of them, in a group of this
-    /// albedo; where the light does not reach, nothing tells of it. `start` is the factor that residuals are first weighted by.
-    pub fn best(
-        seen: &[Observation],
-        shown: &[Shown],
-        group: f64,
-        loss: Tukey,
-        start: f64,
-    ) -> Option<Tint> {
-        if seen.len() < MIN_VIEWS {
-            return None;
-        }
-        let mut tint = Tint::untold(seen, start);
-        for iteration in 0..ITERATIONS {
-            let albedo = group * tint.factor;
-            let (mut n, mut d) = sums(shown, group, |view| loss.weight(view.residual(albedo)));
-            if iteration == 0 {
-                if d <= 0.0 {
-                    // All of them are outliers to what it was thought to be.
-                    (n, d) = sums(shown, group, |_| loss.weight(0.0));
-                }
-                // What is printed is not held back by that either.
-                tint.factor = n / d;
-            }
-            if d <= 0.0 {
-                return None;
-            }
-            let most_held = tint.most_held();
-            for _ in 0..STEPS {
-                // As by the weight that holds it, with one division for two.
-                let apart = tint.apart();
-                let factor = (n * apart + most_held) / (d * apart + most_held);
-                tint.factor = factor.clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
-            }
-        }
-        Some(tint)
-    }
-
     /// That of a site of which it is not told: as it was thought to be, and held no less than where it is.
     pub fn untold(seen: &[Observation], factor: f64) -> Tint {
         Tint {
@@ -82,33 +45,117 @@ impl Tint {
 
     /// What it adds to the energy.
     pub fn energy(&self) -> f64 {
-        0.5 * PAINT * PAINT * self.most_held() * self.apart().ln()
+        0.5 * PAINT * PAINT * most_held(self.n_told) * apart(self.factor).ln()
     }
 
     /// The weight by which it is held to 1.
     fn held(&self) -> f64 {
-        self.most_held() / self.apart()
-    }
-
-    /// The same of a factor of 1.
-    fn most_held(&self) -> f64 {
-        self.n_told * (1.0 / (SIGMA * SIGMA))
-    }
-
-    /// By how much less it is held, the farther from 1.
-    fn apart(&self) -> f64 {
-        let apart = (self.factor - 1.0) * (1.0 / PAINT);
-        1.0 + apart * apart
+        most_held(self.n_told) / apart(self.factor)
     }
 }
 
-/// Numerator and denominator of the tint that weighted views tell, in a group of this albedo.
-fn sums(shown: &[Shown], group: f64, weight: impl Fn(&Shown) -> f64) -> (f64, f64) {
-    let (n, d) = shown.iter().fold((0.0, 0.0), |(n, d), view| {
-        let by_unit = weight(view) * view.covered * view.unit;
-        (n + by_unit * view.observed, d + by_unit * view.unit)
-    });
-    (group * n, group * group * d)
+/// Those for which the energy of sites side by side is about least, if views enough see them: by what is `shown` of them in groups of these
+/// albedos; where the light does not reach, nothing tells of one. `start` are the factors that residuals are first weighted by.
+#[inline(always)]
+pub fn best_tints(
+    shown: &[Shown],
+    n_views: &[usize; SITES],
+    group: &OfSites,
+    loss: Tukey,
+    start: &OfSites,
+) -> [Option<Tint>; SITES] {
+    let mut n_told = [0.0; SITES];
+    for view in shown {
+        for i in 0..SITES {
+            n_told[i] += view.covered[i];
+        }
+    }
+    let mut is_told = n_views.map(|n| n >= MIN_VIEWS);
+    let mut factor = *start;
+    for iteration in 0..ITERATIONS {
+        let mut albedo = [0.0; SITES];
+        for i in 0..SITES {
+            albedo[i] = group[i] * factor[i];
+        }
+        let (mut n, mut d) = sums(shown, group, Some(&albedo), loss);
+        if iteration == 0 {
+            if d.iter().zip(&is_told).any(|(&d, told)| *told & (d <= 0.0)) {
+                // All of them are outliers to what it was thought to be.
+                let (every_n, every_d) = sums(shown, group, None, loss);
+                for i in 0..SITES {
+                    if d[i] <= 0.0 {
+                        (n[i], d[i]) = (every_n[i], every_d[i]);
+                    }
+                }
+            }
+            // What is printed is not held back by that either.
+            for i in 0..SITES {
+                factor[i] = n[i] / d[i];
+            }
+        }
+        for _ in 0..STEPS {
+            for i in 0..SITES {
+                // As by the weight that holds it, with one division for two.
+                let (apart, held) = (apart(factor[i]), most_held(n_told[i]));
+                let next = (n[i] * apart + held) / (d[i] * apart + held);
+                factor[i] = next.clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
+            }
+        }
+        for i in 0..SITES {
+            is_told[i] &= d[i] > 0.0;
+        }
+    }
+    let mut tints = [None; SITES];
+    for i in 0..SITES {
+        if is_told[i] {
+            tints[i] = Some(Tint {
+                factor: factor[i],
+                n_told: n_told[i],
+            });
+        }
+    }
+    tints
+}
+
+/// Numerators and denominators of the tints that views tell, in groups of these albedos: weighted by their residuals for `albedo`, or all
+/// the same.
+#[inline(always)]
+fn sums(
+    shown: &[Shown],
+    group: &OfSites,
+    albedo: Option<&OfSites>,
+    loss: Tukey,
+) -> (OfSites, OfSites) {
+    let (mut n, mut d) = ([0.0; SITES], [0.0; SITES]);
+    for view in shown {
+        let residuals = match albedo {
+            Some(albedo) => view.residuals(albedo),
+            None => [0.0; SITES],
+        };
+        for i in 0..SITES {
+            let by_unit = loss.weight(residuals[i]) * view.covered[i] * view.unit[i];
+            n[i] += by_unit * view.observed[i];
+            d[i] += by_unit * view.unit[i];
+        }
+    }
+    for i in 0..SITES {
+        n[i] *= group[i];
+        d[i] *= group[i] * group[i];
+    }
+    (n, d)
+}
+
+/// The weight by which a tint of 1 is held there, of a site of which views tell so much.
+#[inline(always)]
+fn most_held(n_told: f64) -> f64 {
+    n_told * (1.0 / (SIGMA * SIGMA))
+}
+
+/// By how much less a factor is held, the farther from 1.
+#[inline(always)]
+fn apart(factor: f64) -> f64 {
+    let apart = (factor - 1.0) * (1.0 / PAINT);
+    1.0 + apart * apart
 }
 
 impl<const N: usize> Block<N> {

@@ -1,0 +1,100 @@
+//! Neighbouring sites side by side, one a lane: what is asked of each over its views becomes vector code, with the bits that each would
+//! have alone.
+
+use super::observations::Observation;
+use nalgebra::Vector3;
+
+/// Sites that go through a kernel together.
+pub const SITES: usize = 8;
+/// One value for each of them.
+pub type OfSites = [f64; SITES];
+
+/// What one view shows of each site, as of [`Observation`]. Where a site has fewer views than others, nothing of it is covered.
+#[derive(Clone, Copy, Default)]
+pub struct Seen {
+    observed: [f32; SITES],
+    light: [[f32; SITES]; 3],
+    covered: [f32; SITES],
+    image_slope: [f32; SITES],
+    light_slope: [f32; SITES],
+}
+
+/// What one view shows of each site where it is, and what it would show for unit albedo: 0 where the light does not reach it.
+#[derive(Clone, Copy)]
+pub struct Shown {
+    /// Observed intensity, in its standard deviations.
+    pub observed: OfSites,
+    /// Predicted for unit albedo, in the same unit.
+    pub unit: OfSites,
+    /// As of [`Observation::covered`].
+    pub covered: OfSites,
+}
+
+/// Unit normals of the sites, and how far each has moved along its direction, metres.
+#[derive(Clone, Copy, Default)]
+pub struct Placed {
+    normals: [OfSites; 3],
+    moved_m: OfSites,
+}
+
+impl Placed {
+    /// Places one site.
+    #[inline(always)]
+    pub fn set(&mut self, lane: usize, normal: &Vector3<f64>, moved_m: f64) {
+        for (axis, of_sites) in self.normals.iter_mut().enumerate() {
+            of_sites[lane] = normal[axis];
+        }
+        self.moved_m[lane] = moved_m;
+    }
+}
+
+impl Seen {
+    /// Writes the views of one site; `all` grows to as many as any has.
+    #[inline(always)]
+    pub fn set_views(all: &mut Vec<Seen>, lane: usize, views: &[Observation]) {
+        if all.len() < views.len() {
+            all.resize(views.len(), Seen::default());
+        }
+        for (seen, view) in all.iter_mut().zip(views) {
+            seen.observed[lane] = view.observed;
+            for axis in 0..3 {
+                seen.light[axis][lane] = view.light[axis];
+            }
+            seen.covered[lane] = view.covered;
+            seen.image_slope[lane] = view.image_slope;
+            seen.light_slope[lane] = view.light_slope;
+        }
+    }
+
+    /// What it shows of the sites where they are.
+    #[inline(always)]
+    pub fn shown(&self, placed: &Placed) -> Shown {
+        let Placed { normals, moved_m } = placed;
+        let mut shown = Shown {
+            observed: [0.0; SITES],
+            unit: [0.0; SITES],
+            covered: self.covered.map(f64::from),
+        };
+        for i in 0..SITES {
+            let light = |axis: usize| f64::from(self.light[axis][i]) * normals[axis][i];
+            let lit = light(0) + light(1) + light(2);
+            let unit = lit + f64::from(self.light_slope[i]) * moved_m[i];
+            shown.unit[i] = if unit > 0.0 { unit } else { 0.0 };
+            shown.observed[i] =
+                f64::from(self.observed[i]) + f64::from(self.image_slope[i]) * moved_m[i];
+        }
+        shown
+    }
+}
+
+impl Shown {
+    /// Eq. (6): observed less predicted intensity, in sigmas.
+    #[inline(always)]
+    pub fn residuals(&self, albedo: &OfSites) -> OfSites {
+        let mut residuals = [0.0; SITES];
+        for i in 0..SITES {
+            residuals[i] = self.observed[i] - albedo[i] * self.unit[i];
+        }
+        residuals
+    }
+}
