@@ -7,17 +7,21 @@
 
 use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
-use super::observations::{Observation, Observations};
+use super::observations::Observations;
 use super::patches::Patch;
 use super::priors::PriorWeights;
+use super::side_by_side::{SITES, Seen};
+use super::site_blocks::{Asked, Block};
 use super::sites::SiteKind;
 use super::surface::{Surface, normal_by_displacement, unit_normal};
 use super::tint::Tint;
 use super::vertex_system::VertexSystem;
 use crate::geometry::EdgeAdjacency;
 use crate::robust::Tukey;
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::{Matrix4x3, Vector3};
 use rayon::prelude::*;
+use std::array::from_fn;
+use std::ops::Range;
 
 /// What stays fixed while displacements are solved for.
 pub struct Problem<'a> {
@@ -73,44 +77,27 @@ pub struct GroupTerms {
 /// Sites in a tile of a sum.
 pub const TILE: usize = 2048;
 
+/// What becomes of `n` sites, faces or vertices, [`SITES`] of them at once; `of` is given room for what their views show.
+pub fn side_by_side<T: Send>(
+    n: usize,
+    of: impl Fn(Range<usize>, &mut Vec<Seen>) -> [T; SITES] + Sync,
+) -> Vec<T> {
+    let chunks = (0..n.div_ceil(SITES)).into_par_iter();
+    let chunks = chunks.with_min_len(TILE / SITES).with_max_len(TILE / SITES);
+    let of_chunk = |room: &mut Vec<Seen>, chunk: usize| {
+        let first = chunk * SITES;
+        of(first..(first + SITES).min(n), room)
+    };
+    let all: Vec<[T; SITES]> = chunks.map_init(Vec::new, of_chunk).collect();
+    let mut all = all.into_flattened();
+    all.truncate(n);
+    all
+}
+
 /// The numbers of `n` sites, faces or vertices, of which threads that have nothing left to do take [`TILE`] from others.
 pub fn in_tiles(n: usize) -> impl IndexedParallelIterator<Item = usize> + Clone {
     let all = (0..n).into_par_iter();
     all.with_min_len(TILE).with_max_len(TILE)
-}
-
-/// What the views of one site add to the normal equations.
-#[derive(Clone, Copy)]
-pub struct Block<const N: usize> {
-    /// By what the residuals depend on: a face's on the displacements of its corners, a vertex's on its unit normal and its
-    /// displacement.
-    pub jtj: SMatrix<f64, N, N>,
-    /// Derivative of the energy by that.
-    pub jtr: SVector<f64, N>,
-    /// The same sums with the logarithm of the albedo in the place of one of these, of both, and its derivative.
-    pub by_albedo: (SVector<f64, N>, f64, f64),
-}
-
-impl<const N: usize> Default for Block<N> {
-    fn default() -> Self {
-        Block {
-            jtj: SMatrix::zeros(),
-            jtr: SVector::zeros(),
-            by_albedo: (SVector::zeros(), 0.0, 0.0),
-        }
-    }
-}
-
-/// A site as the views are asked about it.
-pub struct Site {
-    index: usize,
-    /// Unit normal.
-    pub normal: Vector3<f64>,
-    /// Albedo.
-    pub albedo: f64,
-    moved_m: f64,
-    /// Its tint, where that follows the surface.
-    tint: Option<Tint>,
 }
 
 impl Problem<'_> {
@@ -133,24 +120,6 @@ impl Problem<'_> {
         let factor =
             |(found, start): (&Option<Tint>, &f64)| found.map_or(*start, |tint| tint.factor);
         pairs.map(factor).collect()
-    }
-
-    /// A site as it is now, with its tint if that follows the surface.
-    pub fn site(
-        &self,
-        surface: &Surface,
-        albedos: &[f64],
-        (index, normal): (usize, Vector3<f64>),
-        tint: Option<Tint>,
-    ) -> Site {
-        let factor = tint.map_or(self.tints[index], |tint| tint.factor);
-        Site {
-            index,
-            normal,
-            albedo: albedos[self.labels[index] as usize] * factor,
-            moved_m: self.observations.moved_m(surface, index),
-            tint,
-        }
     }
 
     /// Gauss-Newton normal equations about the surface and the groups' albedos, robust weights held; `tints` are those that
@@ -197,9 +166,14 @@ impl Problem<'_> {
         couplings: &Couplings,
         matrix: &mut NormalMatrix,
     ) {
-        let blocks: Vec<Block<3>> = in_tiles(surface.mesh.faces.len())
-            .map(|face| self.face_block(surface, albedos, (face, tints[face])))
-            .collect();
+        let asked = Asked {
+            surface,
+            albedos,
+            tints,
+        };
+        let blocks = side_by_side(surface.mesh.faces.len(), |faces, room| {
+            self.face_blocks(&asked, faces, room)
+        });
         let faces = surface.mesh.faces.iter().zip(self.labels);
         for (((face, &label), block), sides) in faces.zip(&blocks).zip(&couplings.of_faces) {
             let group = &mut matrix.groups[label as usize];
@@ -216,66 +190,36 @@ impl Problem<'_> {
         }
     }
 
-    /// What the views say of one facet.
-    pub fn face_block(
+    /// What the views say of up to [`SITES`] facets; `room` is for what they show.
+    pub fn face_blocks(
         &self,
-        surface: &Surface,
-        albedos: &[f64],
-        (face, tint): (usize, Option<Tint>),
-    ) -> Block<3> {
-        if self.observations.of(face).is_empty() {
-            return Block::default();
-        }
-        let Some((normal, _)) = unit_normal(&surface.mesh, face) else {
-            return Block::default();
-        };
-        let facet = self.site(surface, albedos, (face, normal), tint);
-        let albedo = facet.albedo;
-        match self.jacobian {
-            JacobianMode::Analytic => {
-                let by_corner = normal_by_displacement(surface, face, &normal);
-                self.sum_over_views(&facet, |seen| {
-                    let by_normal = seen.light() * -albedo;
-                    // Each corner takes the centroid a third of its way.
-                    let by_motion = seen.by_motion(albedo) / 3.0;
-                    Vector3::from_fn(|corner, _| by_normal.dot(&by_corner[corner]) + by_motion)
+        asked: &Asked,
+        faces: Range<usize>,
+        room: &mut Vec<Seen>,
+    ) -> [Block<3>; SITES] {
+        let (surface, first) = (asked.surface, faces.start);
+        let normal = |face| unit_normal(&surface.mesh, face).map(|(normal, _)| normal);
+        let normals: Vec<Option<Vector3<f64>>> = faces.map(normal).collect();
+        if self.jacobian == JacobianMode::Numeric {
+            let displaced = |lane| DisplacedNormals::of(surface, first + lane);
+            let displaced: [_; SITES] =
+                from_fn(|lane| normals.get(lane).and_then(|_| displaced(lane)));
+            return self.blocks_by_each(asked, first, &normals, |lane, seen, albedo, moved_m| {
+                let displaced: Option<&DisplacedNormals> = displaced[lane].as_ref();
+                displaced.map_or(Vector3::zeros(), |normals| {
+                    normals.row(seen, albedo, moved_m)
                 })
+            });
+        }
+        let blocks = self.blocks(asked, first, &normals, room);
+        from_fn(|lane| match normals.get(lane) {
+            Some(Some(normal)) => {
+                let by_corner = normal_by_displacement(surface, first + lane, normal);
+                // Each corner takes the centroid a third of its way.
+                let by_corner = by_corner.map(|by_normal| by_normal.push(1.0 / 3.0));
+                blocks[lane].by(&Matrix4x3::from_columns(&by_corner))
             }
-            JacobianMode::Numeric => match DisplacedNormals::of(surface, face) {
-                Some(displaced) => {
-                    self.sum_over_views(&facet, |seen| displaced.row(seen, albedo, facet.moved_m))
-                }
-                None => Block::default(),
-            },
-        }
-    }
-
-    /// Sums what the views say of a site; `row` gives the derivatives of a residual.
-    #[inline]
-    pub fn sum_over_views<const N: usize>(
-        &self,
-        site: &Site,
-        row: impl Fn(&Observation) -> SVector<f64, N>,
-    ) -> Block<N> {
-        let mut block = Block::default();
-        for seen in self.observations.of(site.index) {
-            let moved = seen.moved(site.moved_m);
-            let Some(residual) = moved.residual(&site.normal, site.albedo) else {
-                continue;
-            };
-            let weight = self.loss.weight(residual) * f64::from(seen.covered);
-            let row = row(seen);
-            block.jtj += row * row.transpose() * weight;
-            block.jtr += row * (weight * residual);
-            let by_log_albedo = residual - moved.observed();
-            let (coupling, diagonal, gradient) = &mut block.by_albedo;
-            *coupling += row * (weight * by_log_albedo);
-            *diagonal += weight * by_log_albedo * by_log_albedo;
-            *gradient += weight * by_log_albedo * residual;
-        }
-        match &site.tint {
-            Some(tint) => block.with_tint_following(tint),
-            None => block,
-        }
+            _ => Block::default(),
+        })
     }
 }

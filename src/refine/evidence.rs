@@ -12,8 +12,9 @@
 //! therefore one of detail: on a scan with known truth it puts vertices in the order of their errors, and lies between the error
 //! of their detail and the whole one, in which the slow shape is.
 
-use super::energy::{Problem, in_tiles};
+use super::energy::{Problem, side_by_side};
 use super::rounds::{Rounds, State, final_loss};
+use super::site_blocks::Asked;
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
 use super::tint::Tint;
@@ -139,13 +140,19 @@ impl Rounds<'_> {
         let slope_sigma = self.params.slope_sigma_rad;
         let prior = 1.0 / (slope_sigma * slope_sigma);
         // What its observations say of its tilt, per rad².
-        let of_site = |index: usize| -> Matrix3<f64> {
-            let normal = sites.normals[index];
-            let site = problem.site(surface, albedos, (index, normal), tints[index]);
-            let block = problem.sum_over_views::<3>(&site, |seen| seen.light() * -site.albedo);
-            block.jtj
+        let asked = Asked {
+            surface,
+            albedos,
+            tints,
         };
-        let of_sites: Vec<Matrix3<f64>> = in_tiles(tints.len()).map(of_site).collect();
+        let of_sites = side_by_side(tints.len(), |indices, room| {
+            let normals = sites.normals[indices.clone()]
+                .iter()
+                .map(|&normal| Some(normal));
+            let normals: Vec<Option<Vector3<f64>>> = normals.collect();
+            let blocks = problem.blocks(&asked, indices.start, &normals, room);
+            blocks.map(|block| Matrix3::from(block.jtj.fixed_view::<3, 3>(0, 0)))
+        });
         let sums = match sites.kind {
             SiteKind::Face => {
                 let mesh = &surface.mesh;

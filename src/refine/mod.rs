@@ -23,8 +23,8 @@ mod edge_mask;
 #[cfg(test)]
 mod endings_tests;
 mod energy;
-mod evaluation;
 mod error;
+mod evaluation;
 mod evidence;
 mod expansion;
 mod gain_field;
@@ -55,8 +55,9 @@ mod rounds;
 #[cfg(test)]
 mod scenes;
 mod self_calibration;
-mod single_view;
 mod side_by_side;
+mod single_view;
+mod site_blocks;
 mod site_gloss;
 mod site_motion;
 mod sites;

@@ -34,7 +34,8 @@ pub struct Shown {
 #[derive(Clone, Copy, Default)]
 pub struct Placed {
     normals: [OfSites; 3],
-    moved_m: OfSites,
+    /// How far each has moved.
+    pub moved_m: OfSites,
 }
 
 impl Placed {
@@ -73,17 +74,35 @@ impl Seen {
         let mut shown = Shown {
             observed: [0.0; SITES],
             unit: [0.0; SITES],
-            covered: self.covered.map(f64::from),
+            covered: [0.0; SITES],
         };
         for i in 0..SITES {
             let light = |axis: usize| f64::from(self.light[axis][i]) * normals[axis][i];
             let lit = light(0) + light(1) + light(2);
             let unit = lit + f64::from(self.light_slope[i]) * moved_m[i];
+            shown.covered[i] = f64::from(self.covered[i]);
             shown.unit[i] = if unit > 0.0 { unit } else { 0.0 };
             shown.observed[i] =
                 f64::from(self.observed[i]) + f64::from(self.image_slope[i]) * moved_m[i];
         }
         shown
+    }
+
+    /// Derivatives of the residuals of sites with these albedos by their unit normals and, per metre, by their motion.
+    #[inline(always)]
+    pub fn by_normal_and_motion(&self, albedo: &OfSites) -> [OfSites; 4] {
+        let mut rows = [[0.0; SITES]; 4];
+        let [by_x, by_y, by_z, by_motion] = &mut rows;
+        for (by_axis, light) in [by_x, by_y, by_z].into_iter().zip(&self.light) {
+            for i in 0..SITES {
+                by_axis[i] = f64::from(light[i]) * -albedo[i];
+            }
+        }
+        for i in 0..SITES {
+            let [image, light] = [&self.image_slope, &self.light_slope].map(|of| f64::from(of[i]));
+            by_motion[i] = image - albedo[i] * light;
+        }
+        rows
     }
 }
 

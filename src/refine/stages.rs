@@ -4,7 +4,7 @@
 
 use super::RefineError;
 use super::albedo::Albedo;
-use super::energy::{Block, NormalMatrix, Problem};
+use super::energy::{NormalMatrix, Problem};
 use super::evaluation::Evaluation;
 use super::observations::Observations;
 use super::params::RefineParams;
@@ -12,6 +12,7 @@ use super::pattern::Step;
 use super::preparation::{Preparation, first_views};
 use super::priors::PriorWeights;
 use super::rounds::{State, final_loss};
+use super::site_blocks::{Asked, Block};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::subject::Subject;
 use super::tint::Tint;
@@ -146,10 +147,15 @@ impl Stages {
             surface, albedo, ..
         } = &self.state;
         let n_vertices = self.n_vertices();
+        let asked = Asked {
+            surface,
+            albedos: &albedo.groups,
+            tints: &self.tints,
+        };
         let faces = surface.mesh.faces.iter().zip(&albedo.labels).enumerate();
         let seen = faces.filter(|(face, _)| !self.observations.of(*face).is_empty());
         let terms = seen.map(|(face, (&[a, b, c], &label))| {
-            let block = problem.face_block(surface, &albedo.groups, (face, self.tints[face]));
+            let [block, ..] = problem.face_blocks(&asked, face..face + 1, &mut Vec::new());
             let unknowns = [a, b, c, n_vertices as u32 + u32::from(label)];
             FaceTerm::new(unknowns, &block)
         });

@@ -7,9 +7,9 @@
 //! 1973). It is held to 1 like albedo that differs little as a rule, and by much where something is printed. What else adds the same
 //! share to all views, as light over other surfaces does, no longer turns the surface either.
 
-use super::energy::Block;
 use super::observations::Observation;
 use super::side_by_side::{OfSites, SITES, Shown};
+use super::site_blocks::Block;
 use crate::robust::Tukey;
 
 /// By which factor the albedo of a site differs from its group's, where its views tell.
@@ -66,8 +66,8 @@ pub fn best_tints(
 ) -> [Option<Tint>; SITES] {
     let mut n_told = [0.0; SITES];
     for view in shown {
-        for i in 0..SITES {
-            n_told[i] += view.covered[i];
+        for (sum, covered) in n_told.iter_mut().zip(&view.covered) {
+            *sum += covered;
         }
     }
     let mut is_told = n_views.map(|n| n >= MIN_VIEWS);

@@ -9,11 +9,13 @@
 //! is wider than a ring and too stiff for what is not; a few conjugate gradients make up for that.
 
 use super::couplings::{Couplings, VertexCorners};
-use super::energy::{NormalMatrix, Problem, Site, TILE, in_tiles};
+use super::energy::{NormalMatrix, Problem, TILE, in_tiles, side_by_side};
+use super::site_blocks::{Asked, Block};
 use super::surface::{Surface, area_vector_by_displacement};
 use super::tint::Tint;
 use nalgebra::{Matrix3, Vector3, Vector4};
 use rayon::prelude::*;
+use std::array::from_fn;
 
 /// What is known of the data term about a surface.
 #[derive(Clone, Debug)]
@@ -76,24 +78,28 @@ impl VertexSystem {
         let sizes: Vec<f64> = sizes.into_iter().map(|size| size.max(least)).collect();
         // Of the faces round each vertex: their area vectors, and their sizes.
         let rings = mesh.sums_at_vertices(Vector4::zeros(), |face| normals[face].push(sizes[face]));
-        let vertices = in_tiles(n_vertices);
-        let terms = vertices.map(|vertex| {
-            let (along, size) = (rings[vertex].xyz(), rings[vertex].w);
-            let is_seen = !problem.observations.of(vertex).is_empty();
-            let normal = along.try_normalize(0.0).filter(|_| is_seen);
-            normal.map_or(Terms::default(), |normal| {
-                let per_turn = size / along.norm();
-                let site = problem.site(surface, albedos, (vertex, normal), tints[vertex]);
-                Terms {
-                    inv_size: 1.0 / size,
-                    ..Terms::new(problem, &site, per_turn)
-                }
+        let asked = Asked {
+            surface,
+            albedos,
+            tints,
+        };
+        let terms = side_by_side(n_vertices, |vertices, room| {
+            let first = vertices.start;
+            let normals = vertices.map(|vertex| {
+                let is_seen = !problem.observations.of(vertex).is_empty();
+                rings[vertex].xyz().try_normalize(0.0).filter(|_| is_seen)
+            });
+            let normals: Vec<Option<Vector3<f64>>> = normals.collect();
+            let blocks = problem.blocks(&asked, first, &normals, room);
+            from_fn(|lane| match normals.get(lane) {
+                Some(Some(normal)) => Terms::new(&blocks[lane], normal, &rings[first + lane]),
+                _ => Terms::default(),
             })
         });
         VertexSystem {
             faces: mesh.faces.clone(),
             sizes,
-            terms: terms.collect(),
+            terms,
             by_corners: faces
                 .map(|face| Matrix3::from_columns(&area_vector_by_displacement(surface, face)))
                 .collect(),
@@ -216,13 +222,10 @@ impl VertexSystem {
 }
 
 impl Terms {
-    /// Of a vertex; `per_turn` is by how much its unit normal turns with the change of `N` over the size of its faces.
-    fn new(problem: &Problem, site: &Site, per_turn: f64) -> Terms {
-        let normal = site.normal;
-        let block = problem.sum_over_views::<4>(site, |seen| {
-            let by_normal = seen.light() * -site.albedo;
-            by_normal.push(seen.by_motion(site.albedo))
-        });
+    /// Of a vertex with a unit normal, from what its views say and the sum of the area vectors and sizes of the faces round it.
+    fn new(block: &Block<4>, normal: &Vector3<f64>, ring: &Vector4<f64>) -> Terms {
+        // By how much the unit normal turns with the change of `N` over the size of its faces.
+        let per_turn = ring.w / ring.xyz().norm();
         let turn = (Matrix3::identity() - normal * normal.transpose()) * per_turn;
         let change = |by: &Vector4<f64>| Change {
             normal: turn * by.xyz(),
@@ -232,7 +235,7 @@ impl Terms {
         let by_unit: Matrix3<f64> = block.jtj.fixed_view::<3, 3>(0, 0).into();
         let with_displacement: Vector3<f64> = block.jtj.fixed_view::<3, 1>(0, 3).into();
         Terms {
-            inv_size: 0.0,
+            inv_size: 1.0 / ring.w,
             by_normal: turn * by_unit * turn,
             by_both: turn * with_displacement,
             by_displacement: block.jtj[(3, 3)],
