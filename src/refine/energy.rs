@@ -1,17 +1,16 @@
 //! The energy of Eq. (5): data term Eq. (6) at all sites over all views, with what holds their tints, smoothness Eq. (7) and anchor
-//! Eq. (8) on the total displacement; its value, and its normal equations by the displacements along fixed directions.
+//! Eq. (8) on the total displacement; its normal equations by the displacements along fixed directions.
 //!
-//! A face site has the facet's own normal, so that each residual touches three displacements. All views of a site share that
-//! pattern and are summed into one 3×3 block. Sites at vertices touch more ([`VertexSystem`]). Sums run over fixed tiles, in
-//! order.
+//! All views of a site are summed into one [`Block`]. A face site has the facet's own normal, so that it touches three displacements;
+//! sites at vertices touch more ([`VertexSystem`]). Sums run over fixed tiles, in order.
 
 use super::couplings::Couplings;
 use super::numeric::{DisplacedNormals, JacobianMode};
 use super::observations::Observations;
 use super::patches::Patch;
 use super::priors::PriorWeights;
-use super::side_by_side::{SITES, Seen};
-use super::site_blocks::{Asked, Block};
+use super::side_by_side::{SITES, Seen, map_sites, unit_normals};
+use super::site_blocks::{Block, Estimate};
 use super::sites::SiteKind;
 use super::surface::{Surface, normal_by_displacement, unit_normal};
 use super::tint::Tint;
@@ -19,7 +18,6 @@ use super::vertex_system::VertexSystem;
 use crate::geometry::EdgeAdjacency;
 use crate::robust::Tukey;
 use nalgebra::{Matrix4x3, Vector3};
-use rayon::prelude::*;
 use std::array::from_fn;
 use std::ops::Range;
 
@@ -72,32 +70,6 @@ pub struct GroupTerms {
     pub coupling: Vec<f64>,
     /// Derivative of the energy.
     pub gradient: f64,
-}
-
-/// Sites in a tile of a sum.
-pub const TILE: usize = 2048;
-
-/// What becomes of `n` sites, faces or vertices, [`SITES`] of them at once; `of` is given room for what their views show.
-pub fn side_by_side<T: Send>(
-    n: usize,
-    of: impl Fn(Range<usize>, &mut Vec<Seen>) -> [T; SITES] + Sync,
-) -> Vec<T> {
-    let chunks = (0..n.div_ceil(SITES)).into_par_iter();
-    let chunks = chunks.with_min_len(TILE / SITES).with_max_len(TILE / SITES);
-    let of_chunk = |room: &mut Vec<Seen>, chunk: usize| {
-        let first = chunk * SITES;
-        of(first..(first + SITES).min(n), room)
-    };
-    let all: Vec<[T; SITES]> = chunks.map_init(Vec::new, of_chunk).collect();
-    let mut all = all.into_flattened();
-    all.truncate(n);
-    all
-}
-
-/// The numbers of `n` sites, faces or vertices, of which threads that have nothing left to do take [`TILE`] from others.
-pub fn in_tiles(n: usize) -> impl IndexedParallelIterator<Item = usize> + Clone {
-    let all = (0..n).into_par_iter();
-    all.with_min_len(TILE).with_max_len(TILE)
 }
 
 impl Problem<'_> {
@@ -166,13 +138,13 @@ impl Problem<'_> {
         couplings: &Couplings,
         matrix: &mut NormalMatrix,
     ) {
-        let asked = Asked {
+        let estimate = Estimate {
             surface,
             albedos,
             tints,
         };
-        let blocks = side_by_side(surface.mesh.faces.len(), |faces, room| {
-            self.face_blocks(&asked, faces, room)
+        let blocks = map_sites(surface.mesh.faces.len(), |faces, room| {
+            self.face_blocks(&estimate, faces, room)
         });
         let faces = surface.mesh.faces.iter().zip(self.labels);
         for (((face, &label), block), sides) in faces.zip(&blocks).zip(&couplings.of_faces) {
@@ -190,36 +162,41 @@ impl Problem<'_> {
         }
     }
 
-    /// What the views say of up to [`SITES`] facets; `room` is for what they show.
+    /// What the views say of up to [`SITES`] facets, by the displacements of their corners, metres; nothing of lanes past the last. `room` is
+    /// for what they show.
     pub fn face_blocks(
         &self,
-        asked: &Asked,
+        estimate: &Estimate,
         faces: Range<usize>,
         room: &mut Vec<Seen>,
     ) -> [Block<3>; SITES] {
-        let (surface, first) = (asked.surface, faces.start);
-        let normal = |face| unit_normal(&surface.mesh, face).map(|(normal, _)| normal);
-        let normals: Vec<Option<Vector3<f64>>> = faces.map(normal).collect();
+        let (surface, first) = (estimate.surface, faces.start);
+        let mut normals = unit_normals(faces, |face| {
+            let is_seen = !self.observations.of(face).is_empty();
+            let normal = is_seen.then(|| unit_normal(&surface.mesh, face));
+            normal.flatten().map(|(normal, _)| normal)
+        });
         if self.jacobian == JacobianMode::Numeric {
-            let displaced = |lane| DisplacedNormals::of(surface, first + lane);
-            let displaced: [_; SITES] =
-                from_fn(|lane| normals.get(lane).and_then(|_| displaced(lane)));
-            return self.blocks_by_each(asked, first, &normals, |lane, seen, albedo, moved_m| {
-                let displaced: Option<&DisplacedNormals> = displaced[lane].as_ref();
-                displaced.map_or(Vector3::zeros(), |normals| {
-                    normals.row(seen, albedo, moved_m)
-                })
+            let displaced: [Option<DisplacedNormals>; SITES] = from_fn(|lane| {
+                normals[lane].and_then(|_| DisplacedNormals::of(surface, first + lane))
+            });
+            for (normal, displaced) in normals.iter_mut().zip(&displaced) {
+                *normal = normal.filter(|_| displaced.is_some());
+            }
+            return self.blocks_by_each(estimate, first, &normals, room, |lane, seen, albedo| {
+                let displaced = displaced[lane].as_ref();
+                displaced.map_or(Vector3::zeros(), |of| of.row(seen, albedo))
             });
         }
-        let blocks = self.blocks(asked, first, &normals, room);
-        from_fn(|lane| match normals.get(lane) {
-            Some(Some(normal)) => {
+        let blocks = self.blocks(estimate, first, &normals, room);
+        from_fn(|lane| match &normals[lane] {
+            Some(normal) => {
                 let by_corner = normal_by_displacement(surface, first + lane, normal);
                 // Each corner takes the centroid a third of its way.
                 let by_corner = by_corner.map(|by_normal| by_normal.push(1.0 / 3.0));
                 blocks[lane].by(&Matrix4x3::from_columns(&by_corner))
             }
-            _ => Block::default(),
+            None => Block::default(),
         })
     }
 }

@@ -1,10 +1,11 @@
 //! The value of the energy of Eq. (5), and the tints of the sites that it is about least for.
 
 use super::MAX_VIEWS;
-use super::energy::{Problem, TILE};
-use super::side_by_side::{OfSites, Placed, SITES, Seen, Shown};
+use super::energy::Problem;
+use super::side_by_side::{OfSites, Placed, SITES, Seen, Shown, unit_normals};
 use super::sites::SiteKind;
 use super::surface::{Surface, unit_normal};
+use super::tiles::tiles;
 use super::tint::{Tint, best_tints};
 use crate::geometry::TriMesh;
 use nalgebra::Vector3;
@@ -42,26 +43,24 @@ impl Normals<'_> {
 impl Problem<'_> {
     /// Energy of the surface with the groups' albedos.
     pub fn evaluate(&self, surface: &Surface, albedos: &[f64]) -> Evaluation {
-        let n_sites = self.labels.len();
         let normals = match self.sites {
             SiteKind::Face => Normals::OfFaces(&surface.mesh),
             SiteKind::Vertex => Normals::OfVertices(surface.mesh.vertex_normals()),
         };
         let arch = Arch::new();
-        let of_tile = |tile: usize| {
+        let of_tile = |sites: Range<usize>| {
             arch.dispatch(EvaluateTile {
                 problem: self,
                 surface,
                 albedos,
                 normals: &normals,
-                sites: tile * TILE..((tile + 1) * TILE).min(n_sites),
+                sites,
             })
         };
-        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter().with_max_len(1);
         // The priors keep one thread busy.
         let (prior, tiles) = rayon::join(
             || self.prior_energy(&surface.total_m),
-            || tiles.map(of_tile).collect::<Vec<_>>(),
+            || tiles(self.labels.len()).map(of_tile).collect::<Vec<_>>(),
         );
         Evaluation {
             energy: tiles.iter().map(|(energy, _)| energy).sum::<f64>() + prior,
@@ -99,7 +98,7 @@ impl WithSimd for EvaluateTile<'_> {
         for first in self.sites.clone().step_by(SITES) {
             let sites = first..(first + SITES).min(self.sites.end);
             let n_sites = sites.len();
-            let (own, found) = self.side_by_side(sites, &mut views);
+            let (own, found) = self.of_lanes(sites, &mut views);
             for lane in 0..n_sites {
                 let held = match &found[lane] {
                     Some(tint) => tint.energy(),
@@ -116,30 +115,19 @@ impl WithSimd for EvaluateTile<'_> {
 impl EvaluateTile<'_> {
     /// What the views of sites add to the energy, and the tints that follow the surface.
     #[inline(always)]
-    fn side_by_side(
-        &self,
-        sites: Range<usize>,
-        views: &mut Views,
-    ) -> (OfSites, [Option<Tint>; SITES]) {
+    fn of_lanes(&self, sites: Range<usize>, views: &mut Views) -> (OfSites, [Option<Tint>; SITES]) {
         let Problem {
             observations, loss, ..
         } = self.problem;
         let Views { seen, shown } = views;
-        seen.clear();
-        let mut placed = Placed::default();
+        // Where there is no area nothing is seen.
+        let normals = unit_normals(sites.clone(), |site| self.normals.unit(site));
+        let placed = Placed::new(observations, self.surface, sites.start, &normals, seen);
         let (mut group, mut albedo) = ([0.0; SITES], [0.0; SITES]);
-        let (mut start, mut n_views) = ([1.0; SITES], [0; SITES]);
+        let mut start = [1.0; SITES];
         for (lane, site) in sites.enumerate() {
-            // Where there is no area nothing is seen.
-            let Some(normal) = self.normals.unit(site) else {
-                continue;
-            };
-            placed.set(lane, &normal, observations.moved_m(self.surface, site));
             group[lane] = self.albedos[self.problem.labels[site] as usize];
             start[lane] = self.problem.tints[site];
-            let views = observations.of(site);
-            n_views[lane] = views.len();
-            Seen::set_views(seen, lane, views);
         }
         // A view that a step turns a site away from does not cease to count: it shows what unlit surface would not.
         shown.clear();
@@ -147,7 +135,7 @@ impl EvaluateTile<'_> {
             shown.push(seen.shown(&placed));
         }
         let tints = match self.problem.finds_tints {
-            true => best_tints(shown, &n_views, &group, *loss, &start),
+            true => best_tints(shown, &placed.n_views, &group, *loss, &start),
             false => [None; SITES],
         };
         for lane in 0..SITES {

@@ -12,9 +12,10 @@
 //! therefore one of detail: on a scan with known truth it puts vertices in the order of their errors, and lies between the error
 //! of their detail and the whole one, in which the slow shape is.
 
-use super::energy::{Problem, side_by_side};
+use super::energy::Problem;
 use super::rounds::{Rounds, State, final_loss};
-use super::site_blocks::Asked;
+use super::side_by_side::{map_sites, unit_normals};
+use super::site_blocks::Estimate;
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::surface::Surface;
 use super::tint::Tint;
@@ -140,17 +141,15 @@ impl Rounds<'_> {
         let slope_sigma = self.params.slope_sigma_rad;
         let prior = 1.0 / (slope_sigma * slope_sigma);
         // What its observations say of its tilt, per rad².
-        let asked = Asked {
+        let estimate = Estimate {
             surface,
             albedos,
             tints,
         };
-        let of_sites = side_by_side(tints.len(), |indices, room| {
-            let normals = sites.normals[indices.clone()]
-                .iter()
-                .map(|&normal| Some(normal));
-            let normals: Vec<Option<Vector3<f64>>> = normals.collect();
-            let blocks = problem.blocks(&asked, indices.start, &normals, room);
+        let of_sites = map_sites(tints.len(), |indices, room| {
+            let first = indices.start;
+            let normals = unit_normals(indices, |site| Some(sites.normals[site]));
+            let blocks = problem.blocks(&estimate, first, &normals, room);
             blocks.map(|block| Matrix3::from(block.jtj.fixed_view::<3, 3>(0, 0)))
         });
         let sums = match sites.kind {

@@ -67,6 +67,7 @@ mod subject;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod tiles;
 mod tint;
 mod vertex_system;
 mod view;
@@ -168,8 +169,8 @@ pub struct Refinement {
 /// Refines the surface of an object.
 ///
 /// A quarter of the views that look at it is held out while the surface is found and then judges it ([`Judgement`]), a quarter of those that
-/// see it where none of that quarter or none of the others does; a last round takes all views in. A single view judges nothing. After
-/// each accepted step `progress` is called; it returns false to cancel, which keeps what was reached.
+/// see it where none of that quarter or none of the others does; a last round then takes all views in, and turns until the surface rests. A
+/// single view judges nothing. After each accepted step `progress` is called; it returns false to cancel, which keeps what was reached.
 ///
 /// # Errors
 /// Where there is nothing to refine or to learn from, where the images cannot be explained, and where those held out fit the

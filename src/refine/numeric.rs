@@ -3,7 +3,7 @@
 //! The residual is evaluated with one corner of the facet displaced at a time, which the sparsity of Eq. (6) allows; pixel,
 //! distance and light follow or are held as they are for the exact derivatives, so that both are of the same function.
 
-use super::observations::Observation;
+use super::observations::Moved;
 use super::surface::Surface;
 use crate::geometry::area_vector;
 use nalgebra::Vector3;
@@ -44,12 +44,11 @@ impl DisplacedNormals {
 
     /// Derivatives of a residual by the displacements of the corners, per metre, where the site has moved already; 0 where a
     /// displaced facet faces away from the light.
-    pub fn row(&self, seen: &Observation, albedo: f64, moved_m: f64) -> Vector3<f64> {
+    pub fn row(&self, seen: &Moved, albedo: f64) -> Vector3<f64> {
         let by_corner = self.0.map(|[back, forth]| {
             let residual = |normal: &Vector3<f64>, step_m: f64| {
                 // A corner takes the centroid a third of its way.
-                let moved = seen.moved(moved_m + step_m / 3.0);
-                moved.residual(normal, albedo)
+                seen.farther(step_m / 3.0).residual(normal, albedo)
             };
             let (Some(back), Some(forth)) = (residual(&back, -STEP_M), residual(&forth, STEP_M))
             else {

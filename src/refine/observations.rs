@@ -8,6 +8,7 @@ use super::rendering::Rendered;
 use super::site_motion::SiteMotion;
 use super::sites::Sites;
 use super::surface::Surface;
+use super::tiles::{TILE, tiles};
 use super::view::View;
 use crate::geometry::lanes::LANES;
 use crate::robust::median_absolute_deviation;
@@ -63,7 +64,7 @@ impl Observation {
     /// Light that arrives, as a vector whose product with the unit normal is the prediction for unit albedo, in sigmas. Gloss is in it as
     /// it is about the normal of the start of the round.
     #[inline]
-    pub fn light(&self) -> Vector3<f64> {
+    fn light(&self) -> Vector3<f64> {
         Vector3::from(self.light.map(f64::from))
     }
 
@@ -84,12 +85,6 @@ impl Observation {
     pub fn moved(&self, by_m: f64) -> Moved<'_> {
         Moved { seen: self, by_m }
     }
-
-    /// Derivative of the residual by the site's motion, per metre.
-    #[inline]
-    pub fn by_motion(&self, albedo: f64) -> f64 {
-        f64::from(self.image_slope) - albedo * f64::from(self.light_slope)
-    }
 }
 
 /// One site in one view, moved.
@@ -99,9 +94,15 @@ pub struct Moved<'a> {
 }
 
 impl Moved<'_> {
+    /// The same site moved by so many metres more.
+    #[inline]
+    pub fn farther(&self, by_m: f64) -> Self {
+        self.seen.moved(self.by_m + by_m)
+    }
+
     /// As of [`Observation::observed`].
     #[inline]
-    pub fn observed(&self) -> f64 {
+    fn observed(&self) -> f64 {
         f64::from(self.seen.observed) + f64::from(self.seen.image_slope) * self.by_m
     }
 
@@ -129,8 +130,6 @@ pub struct Observations {
 
 /// Sites looked at for the scale of the residuals: every so many.
 const SCALE_STRIDE: usize = 5;
-/// Sites that are sampled together.
-const TILE: usize = 2048;
 
 impl Observations {
     /// Samples every view at the sites that it sees, which may move. What the surface `rendered` shows beside its sites is taken off.
@@ -155,11 +154,8 @@ impl Observations {
         motion: Option<SiteMotion>,
         rendered: Option<&Rendered>,
     ) -> Observations {
-        let n_sites = sites.points.len();
         let gazes: Vec<Gaze> = views.iter().map(Gaze::new).collect();
-        let tiles = (0..n_sites.div_ceil(TILE)).into_par_iter();
-        let tiles = tiles.with_max_len(1).map(|tile| {
-            let range = tile * TILE..((tile + 1) * TILE).min(n_sites);
+        let tiles = tiles(sites.points.len()).map(|range| {
             let looked_at = LookedAt {
                 sites,
                 motion: motion.as_ref(),

@@ -20,7 +20,7 @@ pub struct RefineParams {
     pub max_vertices: usize,
     /// Outer rounds, Eq. (9), before the last one.
     pub n_rounds: usize,
-    /// Turns that the last round on each mesh, and the last of all, take at most until the surface rests; with 1 there is each round once.
+    /// Turns that the last round on each mesh takes at most until the surface rests; with 1 there is each round once.
     pub max_turns: usize,
     /// Accepted Levenberg–Marquardt steps a turn at most; on meshes coarser than the finest half as many again.
     pub max_steps: usize,

@@ -1,15 +1,53 @@
 //! Neighbouring sites side by side, one a lane: what is asked of each over its views becomes vector code, with the bits that each would
 //! have alone.
 
-use super::observations::Observation;
+use super::observations::{Observation, Observations};
+use super::surface::Surface;
+use super::tiles::TILE;
 use nalgebra::Vector3;
+use rayon::prelude::*;
+use std::array::from_fn;
+use std::ops::Range;
 
 /// Sites that go through a kernel together.
 pub const SITES: usize = 8;
 /// One value for each of them.
 pub type OfSites = [f64; SITES];
+/// Unit normal of each of them, in the surface's frame; `None` where nothing is asked of one, or there is none.
+pub type UnitNormals = [Option<Vector3<f64>>; SITES];
 
-/// What one view shows of each site, as of [`Observation`]. Where a site has fewer views than others, nothing of it is covered.
+/// What becomes of `n` sites, [`SITES`] of them at once: `of` is given the numbers of some, fewer only at the end, and room for what their
+/// views show; what it says of lanes without a site is left out.
+pub fn map_sites<T: Send>(
+    n: usize,
+    of: impl Fn(Range<usize>, &mut Vec<Seen>) -> [T; SITES] + Sync,
+) -> Vec<T> {
+    let chunks = (0..n.div_ceil(SITES)).into_par_iter();
+    let chunks = chunks.with_min_len(TILE / SITES).with_max_len(TILE / SITES);
+    let of_chunk = |room: &mut Vec<Seen>, chunk: usize| {
+        let first = chunk * SITES;
+        of(first..(first + SITES).min(n), room)
+    };
+    let all: Vec<[T; SITES]> = chunks.map_init(Vec::new, of_chunk).collect();
+    let mut all = all.into_flattened();
+    all.truncate(n);
+    all
+}
+
+/// Normals of these sites, [`SITES`] at most, by the number of each.
+#[inline(always)]
+pub fn unit_normals(
+    sites: Range<usize>,
+    of: impl Fn(usize) -> Option<Vector3<f64>>,
+) -> UnitNormals {
+    from_fn(|lane| {
+        let site = sites.start + lane;
+        if site < sites.end { of(site) } else { None }
+    })
+}
+
+/// What one view shows of each site, as of [`Observation`]; all of it is finite. Where a site has fewer views than others, nothing of it is
+/// covered.
 #[derive(Clone, Copy, Default)]
 pub struct Seen {
     observed: [f32; SITES],
@@ -30,22 +68,41 @@ pub struct Shown {
     pub covered: OfSites,
 }
 
-/// Unit normals of the sites, and how far each has moved along its direction, metres.
+/// How sites lie, and how many views show each.
 #[derive(Clone, Copy, Default)]
 pub struct Placed {
-    normals: [OfSites; 3],
-    /// How far each has moved.
+    /// Unit normal of each, in the surface's frame.
+    pub normals: [OfSites; 3],
+    /// How far each has moved along its direction, metres.
     pub moved_m: OfSites,
+    /// Views that show it; none of one without a normal.
+    pub n_views: [usize; SITES],
 }
 
 impl Placed {
-    /// Places one site.
+    /// Those from the `first` on that have a normal; the room becomes what views show of them.
     #[inline(always)]
-    pub fn set(&mut self, lane: usize, normal: &Vector3<f64>, moved_m: f64) {
-        for (axis, of_sites) in self.normals.iter_mut().enumerate() {
-            of_sites[lane] = normal[axis];
+    pub fn new(
+        observations: &Observations,
+        surface: &Surface,
+        first: usize,
+        normals: &UnitNormals,
+        room: &mut Vec<Seen>,
+    ) -> Placed {
+        room.clear();
+        let mut placed = Placed::default();
+        for (lane, normal) in normals.iter().enumerate() {
+            let Some(normal) = normal else { continue };
+            let site = first + lane;
+            for (axis, of_sites) in placed.normals.iter_mut().enumerate() {
+                of_sites[lane] = normal[axis];
+            }
+            placed.moved_m[lane] = observations.moved_m(surface, site);
+            let views = observations.of(site);
+            placed.n_views[lane] = views.len();
+            Seen::set_views(room, lane, views);
         }
-        self.moved_m[lane] = moved_m;
+        placed
     }
 }
 
@@ -70,7 +127,9 @@ impl Seen {
     /// What it shows of the sites where they are.
     #[inline(always)]
     pub fn shown(&self, placed: &Placed) -> Shown {
-        let Placed { normals, moved_m } = placed;
+        let Placed {
+            normals, moved_m, ..
+        } = placed;
         let mut shown = Shown {
             observed: [0.0; SITES],
             unit: [0.0; SITES],

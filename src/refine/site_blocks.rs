@@ -1,19 +1,20 @@
 //! What the views of each site add to the normal equations, for [`SITES`] sites at once.
 
 use super::energy::Problem;
-use super::observations::Observation;
-use super::side_by_side::{OfSites, Placed, SITES, Seen};
+use super::observations::{Moved, Observation};
+use super::side_by_side::{OfSites, Placed, SITES, Seen, UnitNormals};
 use super::surface::Surface;
 use super::tint::Tint;
 use crate::robust::Tukey;
 use nalgebra::{Matrix4x3, SMatrix, SVector, Vector3};
 use pulp::{Arch, Simd, WithSimd};
+use std::array::from_fn;
 
 /// What the views of one site add to the normal equations.
 #[derive(Clone, Copy)]
 pub struct Block<const N: usize> {
-    /// By what the residuals depend on: [`Problem::blocks`]' on the site's unit normal and its displacement, a facet's on the displacements
-    /// of its corners.
+    /// By what the residuals depend on: [`Problem::blocks`]' on the site's unit normal, x, y and z, and its displacement, metres; a facet's
+    /// on the displacements of its corners, metres.
     pub jtj: SMatrix<f64, N, N>,
     /// Derivative of the energy by that.
     pub jtr: SVector<f64, N>,
@@ -45,8 +46,8 @@ impl Block<4> {
 
 /// Derivatives of the residuals of each site in one view.
 trait Rows<const N: usize> {
-    /// Those in a view, of sites with these albedos.
-    fn rows(&self, view: usize, seen: &Seen, albedo: &OfSites) -> [OfSites; N];
+    /// Those in a view, of sites that lie so and have these albedos.
+    fn rows(&self, view: usize, seen: &Seen, placed: &Placed, albedo: &OfSites) -> [OfSites; N];
 }
 
 /// By the unit normal and the displacement, as of [`Seen::by_normal_and_motion`].
@@ -54,24 +55,24 @@ struct ByNormalAndMotion;
 
 impl Rows<4> for ByNormalAndMotion {
     #[inline(always)]
-    fn rows(&self, _: usize, seen: &Seen, albedo: &OfSites) -> [OfSites; 4] {
+    fn rows(&self, _: usize, seen: &Seen, _: &Placed, albedo: &OfSites) -> [OfSites; 4] {
         seen.by_normal_and_motion(albedo)
     }
 }
 
-/// One site at a time, by a function of its place, what a view shows of it, its albedo and how far it has moved.
+/// One site at a time, by a function of its lane, what a view shows of it, and its albedo.
 struct ByEach<'a, F> {
     views: [&'a [Observation]; SITES],
-    placed: &'a Placed,
     row: F,
 }
 
-impl<F: Fn(usize, &Observation, f64, f64) -> Vector3<f64>> Rows<3> for ByEach<'_, F> {
-    fn rows(&self, view: usize, _: &Seen, albedo: &OfSites) -> [OfSites; 3] {
+impl<F: Fn(usize, &Moved, f64) -> Vector3<f64>> Rows<3> for ByEach<'_, F> {
+    fn rows(&self, view: usize, _: &Seen, placed: &Placed, albedo: &OfSites) -> [OfSites; 3] {
         let mut rows = [[0.0; SITES]; 3];
         for (lane, views) in self.views.iter().enumerate() {
             if let Some(seen) = views.get(view) {
-                let row = (self.row)(lane, seen, albedo[lane], self.placed.moved_m[lane]);
+                let moved = seen.moved(placed.moved_m[lane]);
+                let row = (self.row)(lane, &moved, albedo[lane]);
                 for (of_sites, value) in rows.iter_mut().zip(&row) {
                     of_sites[lane] = *value;
                 }
@@ -81,107 +82,78 @@ impl<F: Fn(usize, &Observation, f64, f64) -> Vector3<f64>> Rows<3> for ByEach<'_
     }
 }
 
-/// Where sites are, what is thought of them, and room for what their views show.
-pub struct Asked<'a> {
+/// What sites are thought to be.
+pub struct Estimate<'a> {
     /// The surface.
     pub surface: &'a Surface,
-    /// Albedo of each group.
+    /// Albedo of each group, square metres, as of a refinement.
     pub albedos: &'a [f64],
     /// Tint of each site, where that follows the surface.
     pub tints: &'a [Option<Tint>],
 }
 
 impl Problem<'_> {
-    /// What the views say of up to [`SITES`] sites from the `first` on, by the unit normal of each and its displacement; nothing of one
-    /// without a normal. `room` is for what they show.
+    /// What the views say of the sites from the `first` on, by the unit normal of each and its displacement, metres; nothing of one without
+    /// a normal. `room` is for what they show.
     pub fn blocks(
         &self,
-        asked: &Asked,
+        estimate: &Estimate,
         first: usize,
-        normals: &[Option<Vector3<f64>>],
+        normals: &UnitNormals,
         room: &mut Vec<Seen>,
     ) -> [Block<4>; SITES] {
-        let (placed, albedo) = self.place(asked, first, normals, room);
+        self.blocks_by(&ByNormalAndMotion, estimate, first, normals, room)
+    }
+
+    /// The same by three numbers; `row` gives the derivatives of a residual by them, from the lane of its site, what a view shows of it, and
+    /// its albedo.
+    pub fn blocks_by_each(
+        &self,
+        estimate: &Estimate,
+        first: usize,
+        normals: &UnitNormals,
+        room: &mut Vec<Seen>,
+        row: impl Fn(usize, &Moved, f64) -> Vector3<f64>,
+    ) -> [Block<3>; SITES] {
+        let views = from_fn(|lane| match normals[lane] {
+            Some(_) => self.observations.of(first + lane),
+            None => &[],
+        });
+        self.blocks_by(&ByEach { views, row }, estimate, first, normals, room)
+    }
+
+    fn blocks_by<const N: usize>(
+        &self,
+        rows: &impl Rows<N>,
+        estimate: &Estimate,
+        first: usize,
+        normals: &UnitNormals,
+        room: &mut Vec<Seen>,
+    ) -> [Block<N>; SITES] {
+        let Estimate {
+            surface,
+            albedos,
+            tints,
+        } = *estimate;
+        let placed = Placed::new(self.observations, surface, first, normals, room);
+        let sites = || (0..SITES).filter(|lane| normals[*lane].is_some());
+        let mut albedo = [0.0; SITES];
+        for lane in sites() {
+            let site = first + lane;
+            let factor = tints[site].map_or(self.tints[site], |tint| tint.factor);
+            albedo[lane] = albedos[self.labels[site] as usize] * factor;
+        }
         let sums = Arch::new().dispatch(SumOverViews {
             seen: room,
             placed: &placed,
             albedo: &albedo,
             loss: self.loss,
-            rows: &ByNormalAndMotion,
+            rows,
         });
-        self.finished(asked, first, normals.len(), &sums)
-    }
-
-    /// The same by three numbers; `row` gives the derivatives of a residual, from the place of its site among these, what a view shows, the
-    /// albedo and how far the site has moved, metres.
-    pub fn blocks_by_each(
-        &self,
-        asked: &Asked,
-        first: usize,
-        normals: &[Option<Vector3<f64>>],
-        row: impl Fn(usize, &Observation, f64, f64) -> Vector3<f64>,
-    ) -> [Block<3>; SITES] {
-        let mut room = Vec::new();
-        let (placed, albedo) = self.place(asked, first, normals, &mut room);
-        let mut views: [&[Observation]; SITES] = [&[]; SITES];
-        for (lane, (views, normal)) in views.iter_mut().zip(normals).enumerate() {
-            if normal.is_some() {
-                *views = self.observations.of(first + lane);
-            }
-        }
-        let rows = ByEach {
-            views,
-            placed: &placed,
-            row,
-        };
-        let sums = Arch::new().dispatch(SumOverViews {
-            seen: &room,
-            placed: &placed,
-            albedo: &albedo,
-            loss: self.loss,
-            rows: &rows,
-        });
-        self.finished(asked, first, normals.len(), &sums)
-    }
-
-    /// Fills the room with what views show of sites; returns where they are, and their albedos.
-    fn place(
-        &self,
-        asked: &Asked,
-        first: usize,
-        normals: &[Option<Vector3<f64>>],
-        room: &mut Vec<Seen>,
-    ) -> (Placed, OfSites) {
-        let Asked {
-            surface,
-            albedos,
-            tints,
-        } = *asked;
-        room.clear();
-        let (mut placed, mut albedo) = (Placed::default(), [0.0; SITES]);
-        for (lane, normal) in normals.iter().enumerate() {
-            let Some(normal) = normal else { continue };
-            let site = first + lane;
-            placed.set(lane, normal, self.observations.moved_m(surface, site));
-            let factor = tints[site].map_or(self.tints[site], |tint| tint.factor);
-            albedo[lane] = albedos[self.labels[site] as usize] * factor;
-            Seen::set_views(room, lane, self.observations.of(site));
-        }
-        (placed, albedo)
-    }
-
-    /// Site by site, with the tints that follow the surface.
-    fn finished<const N: usize>(
-        &self,
-        asked: &Asked,
-        first: usize,
-        n_sites: usize,
-        sums: &Sums<N>,
-    ) -> [Block<N>; SITES] {
         let mut blocks = [Block::default(); SITES];
-        for (lane, block) in blocks[..n_sites].iter_mut().enumerate() {
+        for lane in sites() {
             let own = sums.of(lane);
-            *block = match &asked.tints[first + lane] {
+            blocks[lane] = match &tints[first + lane] {
                 Some(tint) => own.with_tint_following(tint),
                 None => own,
             };
@@ -238,7 +210,7 @@ impl<const N: usize, R: Rows<N>> WithSimd for SumOverViews<'_, N, R> {
         for (view, seen) in self.seen.iter().enumerate() {
             let shown = seen.shown(self.placed);
             let residuals = shown.residuals(self.albedo);
-            let rows = self.rows.rows(view, seen, self.albedo);
+            let rows = self.rows.rows(view, seen, self.placed, self.albedo);
             let (mut weight, mut weighed) = ([0.0; SITES], [0.0; SITES]);
             let mut by_albedo = [0.0; SITES];
             for i in 0..SITES {
@@ -270,9 +242,8 @@ impl<const N: usize, R: Rows<N>> WithSimd for SumOverViews<'_, N, R> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::RefineParams;
-    use super::super::scenes::{ALBEDO, RippledPlane, with_problem};
     use super::*;
+    use crate::geometry::lanes::arch_levels;
 
     fn bits<const N: usize>(block: &Block<N>) -> Vec<u64> {
         let (coupling, diagonal, gradient) = &block.by_albedo;
@@ -281,63 +252,88 @@ mod tests {
         numbers.map(|number| number.to_bits()).collect()
     }
 
-    #[test]
-    fn a_site_has_the_bits_beside_others_that_it_has_alone_and_the_sums_over_its_views() {
-        let hidden = RippledPlane {
-            amplitude_m: 0.0003,
-        };
-        let params = RefineParams {
-            edge_length_m: 0.004,
-            ..RefineParams::default()
-        };
-        let plane = RippledPlane { amplitude_m: 0.0 }.mesh(params.edge_length_m);
-        with_problem(&hidden, plane, &params, |problem, surface, _| {
-            let problem = Problem {
-                finds_tints: true,
-                observations: problem.observations,
-                labels: problem.labels,
-                tints: problem.tints,
-                patches: problem.patches,
-                edges: problem.edges,
-                ..*problem
-            };
-            let albedos = [1.1 * ALBEDO];
-            let tints = problem.evaluate(&surface, &albedos).tints;
-            assert!(tints.iter().any(Option::is_some) && tints.iter().any(Option::is_none));
-            let asked = Asked {
-                surface: &surface,
-                albedos: &albedos,
-                tints: &tints,
-            };
-            let normals: Vec<_> = surface
-                .mesh
-                .vertex_normals()
-                .into_iter()
-                .map(Some)
-                .collect();
-            let (mut room, mut n_seen) = (Vec::new(), 0);
-            for first in (0..normals.len()).step_by(SITES) {
-                let normals = &normals[first..normals.len().min(first + SITES)];
-                let together = problem.blocks(&asked, first, normals, &mut room);
-                for (lane, normal) in normals.iter().enumerate() {
-                    let (site, own) = (first + lane, std::slice::from_ref(normal));
-                    let [alone, ..] = problem.blocks(&asked, site, own, &mut room);
-                    assert_eq!(bits(&together[lane]), bits(&alone), "site {site}");
-                    let tint = tints[site].map_or(problem.tints[site], |tint| tint.factor);
-                    let albedo = albedos[0] * tint;
-                    let of_view = |seen: &Observation| {
-                        let residual = seen.residual(&normal.expect("a plane's"), albedo)?;
-                        let weight = problem.loss.weight(residual) * f64::from(seen.covered);
-                        Some(weight * residual * (residual - f64::from(seen.observed)))
-                    };
-                    let views = problem.observations.of(site);
-                    let gradient: f64 = views.iter().filter_map(of_view).sum();
-                    let apart = (alone.by_albedo.2 - gradient).abs();
-                    assert!(apart <= 1e-12 * gradient.abs(), "site {site}: {apart}");
-                    n_seen += usize::from(gradient != 0.0);
-                }
+    /// Five views, of which the third gets no light.
+    fn views() -> Vec<Observation> {
+        let view = |k: usize| {
+            let k = k as f32;
+            Observation {
+                observed: 41.0 + 3.0 * k,
+                light: [
+                    3.0 - k,
+                    2.0 + 0.3 * k,
+                    if k == 2.0 { -90.0 } else { 50.0 + k },
+                ],
+                covered: 1.0 / (1.0 + k),
+                image_slope: 900.0 - 130.0 * k,
+                light_slope: 70.0 * k - 200.0,
+                is_clear: true,
             }
-            assert!(n_seen > 100, "{n_seen} sites are seen");
-        });
+        };
+        (0..5).map(view).collect()
+    }
+
+    fn summed_one_by_one(
+        views: &[Observation],
+        normal: &Vector3<f64>,
+        moved_m: f64,
+        albedo: f64,
+        loss: Tukey,
+    ) -> Block<4> {
+        let mut block = Block::default();
+        for seen in views {
+            let Some(residual) = seen.moved(moved_m).residual(normal, albedo) else {
+                continue;
+            };
+            let weight = loss.weight(residual) * f64::from(seen.covered);
+            let observed = f64::from(seen.observed) + f64::from(seen.image_slope) * moved_m;
+            let by_motion = f64::from(seen.image_slope) - albedo * f64::from(seen.light_slope);
+            let by_normal = Vector3::from(seen.light.map(f64::from)) * -albedo;
+            let row = by_normal.push(by_motion);
+            let by_albedo = residual - observed;
+            let (coupling, diagonal, gradient) = &mut block.by_albedo;
+            block.jtj += row * row.transpose() * weight;
+            block.jtr += row * (weight * residual);
+            *coupling += row * (weight * by_albedo);
+            *diagonal += weight * by_albedo * by_albedo;
+            *gradient += weight * by_albedo * residual;
+        }
+        block
+    }
+
+    #[test]
+    fn every_lane_has_the_sums_over_its_own_views_with_any_instructions() {
+        let all = views();
+        let loss = Tukey {
+            scale: 3.0,
+            cutoff: 9.0,
+        };
+        let (mut seen, mut placed, mut albedo) = (Vec::new(), Placed::default(), [0.0; SITES]);
+        let mut expected = [Block::<4>::default(); SITES];
+        for lane in 0..SITES {
+            let views = &all[..[5, 0, 1, 3, 2, 5, 4, 0][lane]];
+            let tilt = 0.1 * lane as f64;
+            let normal = Vector3::new(tilt.sin(), 0.0, tilt.cos());
+            for (axis, normals) in placed.normals.iter_mut().enumerate() {
+                normals[lane] = normal[axis];
+            }
+            placed.moved_m[lane] = 0.001 * lane as f64 - 0.002;
+            albedo[lane] = 0.7 + 0.05 * lane as f64;
+            Seen::set_views(&mut seen, lane, views);
+            expected[lane] =
+                summed_one_by_one(views, &normal, placed.moved_m[lane], albedo[lane], loss);
+        }
+        assert!(expected[3].jtj[(2, 2)] > 0.0 && expected[1].jtj[(2, 2)] == 0.0);
+        for arch in arch_levels() {
+            let sums = arch.dispatch(SumOverViews {
+                seen: &seen,
+                placed: &placed,
+                albedo: &albedo,
+                loss,
+                rows: &ByNormalAndMotion,
+            });
+            for (lane, expected) in expected.iter().enumerate() {
+                assert_eq!(bits(&sums.of(lane)), bits(expected), "lane {lane}");
+            }
+        }
     }
 }

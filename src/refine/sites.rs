@@ -1,9 +1,9 @@
 //! Where the surface is compared with the images: one site a facet, at its centroid, or one a vertex.
 
-use super::energy::TILE;
 use super::gaze::{Gaze, Surfels, set_lane};
 use super::site_gloss::SiteGloss;
 use super::surface::unit_normal;
+use super::tiles::TILE;
 use super::view::{Look, Sample, View};
 use crate::geometry::TriMesh;
 use crate::geometry::lanes::LANES;

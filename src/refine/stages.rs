@@ -12,7 +12,7 @@ use super::pattern::Step;
 use super::preparation::{Preparation, first_views};
 use super::priors::PriorWeights;
 use super::rounds::{State, final_loss};
-use super::site_blocks::{Asked, Block};
+use super::site_blocks::{Block, Estimate};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::subject::Subject;
 use super::tint::Tint;
@@ -147,7 +147,7 @@ impl Stages {
             surface, albedo, ..
         } = &self.state;
         let n_vertices = self.n_vertices();
-        let asked = Asked {
+        let estimate = Estimate {
             surface,
             albedos: &albedo.groups,
             tints: &self.tints,
@@ -155,7 +155,7 @@ impl Stages {
         let faces = surface.mesh.faces.iter().zip(&albedo.labels).enumerate();
         let seen = faces.filter(|(face, _)| !self.observations.of(*face).is_empty());
         let terms = seen.map(|(face, (&[a, b, c], &label))| {
-            let [block, ..] = problem.face_blocks(&asked, face..face + 1, &mut Vec::new());
+            let [block, ..] = problem.face_blocks(&estimate, face..face + 1, &mut Vec::new());
             let unknowns = [a, b, c, n_vertices as u32 + u32::from(label)];
             FaceTerm::new(unknowns, &block)
         });
@@ -279,7 +279,7 @@ impl FaceTerm {
         hessian[(3, 3)] = diagonal;
         FaceTerm {
             unknowns,
-            // Symmetric, so that its columns are its rows.
+            // Symmetric but for last bits, so that its columns are its rows.
             hessian: hessian.into(),
             gradient: block.jtr.push(slope).into(),
         }

@@ -231,18 +231,21 @@ fn steep_ripples_at_wrong_poses_take_many_turns() {
         let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| true)
             .expect("everything is visible");
         let left = normal_error(hidden, &refined.mesh) / normal_error(hidden, &base);
-        (left, refined.iterations.len())
+        (left, refined.iterations.len(), refined.judgement.overall)
     };
     // As steep as 32°.
     let steep = RippledPlane {
         amplitude_m: 0.0012,
     };
-    let ((once, _), (resting, n_steep)) = (refined(&steep, 1), refined(&steep, 9));
+    let ((once, ..), (resting, n_steep, held_out)) = (refined(&steep, 1), refined(&steep, 9));
     assert!(
         resting < 0.5 * once,
         "{once} by one turn, {resting} by more"
     );
-    let (_, n_shallow) = refined(&RIPPLED, 9);
+    // Judged before the last round takes its turns, and better than the base surface by then.
+    let [before, after] = [&held_out.base, &held_out.refined].map(|of| of.intensity);
+    assert!(after < 0.9 * before, "{before} of the base, {after}");
+    let (_, n_shallow, _) = refined(&RIPPLED, 9);
     assert!(
         n_steep > n_shallow,
         "{n_steep} steps, {n_shallow} if shallow"

@@ -171,3 +171,99 @@ impl<const N: usize> Block<N> {
         self
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::lanes::arch_levels;
+    use pulp::{Simd, WithSimd};
+
+    /// What views show of each site, of which groups have an albedo of 0.6.
+    struct Sought<'a> {
+        shown: &'a [Shown],
+        n_views: [usize; SITES],
+    }
+
+    impl WithSimd for Sought<'_> {
+        type Output = [Option<Tint>; SITES];
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+            let loss = Tukey {
+                scale: 1.0,
+                cutoff: 4.0,
+            };
+            best_tints(
+                self.shown,
+                &self.n_views,
+                &[0.6; SITES],
+                loss,
+                &[1.0; SITES],
+            )
+        }
+    }
+
+    /// Observations of sites in the lanes for which `is_in`: by how many views, and how much brighter than by the group's albedo.
+    fn shown(sites: &[(usize, f64); SITES], is_in: impl Fn(usize) -> bool) -> Vec<Shown> {
+        let of_view = |view: usize| {
+            let mut shown = Shown {
+                observed: [0.0; SITES],
+                unit: [0.0; SITES],
+                covered: [0.0; SITES],
+            };
+            let lanes = (0..SITES).filter(|lane| is_in(*lane) && view < sites[*lane].0);
+            for lane in lanes {
+                let unit = 50.0 + 7.0 * view as f64;
+                shown.unit[lane] = unit;
+                shown.observed[lane] = 0.6 * sites[lane].1 * unit + 0.2 * (view % 2) as f64;
+                shown.covered[lane] = 0.4;
+            }
+            shown
+        };
+        (0..6).map(of_view).collect()
+    }
+
+    #[test]
+    fn a_site_has_the_tint_beside_others_that_it_has_alone_with_any_instructions() {
+        // The fifth and sixth are farther off than any residual that counts.
+        let sites: [(usize, f64); SITES] = [
+            (6, 1.0),
+            (0, 1.0),
+            (2, 1.05),
+            (3, 1.05),
+            (4, 3.0),
+            (6, 0.2),
+            (5, 0.95),
+            (1, 3.0),
+        ];
+        let n_views = sites.map(|(n_views, _)| n_views);
+        let all = shown(&sites, |_| true);
+        let bits = |tint: &Option<Tint>| tint.map(|of| [of.factor, of.n_told].map(f64::to_bits));
+        for arch in arch_levels() {
+            let together = arch.dispatch(Sought {
+                shown: &all,
+                n_views,
+            });
+            for (lane, &(n_views, brighter)) in sites.iter().enumerate() {
+                let one = shown(&sites, |other| other == lane);
+                let mut n_views_alone = [0; SITES];
+                n_views_alone[lane] = n_views;
+                let alone = arch.dispatch(Sought {
+                    shown: &one,
+                    n_views: n_views_alone,
+                });
+                assert_eq!(bits(&together[lane]), bits(&alone[lane]), "site {lane}");
+                match &together[lane] {
+                    Some(tint) => {
+                        let is_between = (tint.factor - 1.0).abs() <= (brighter - 1.0).abs() + 0.01;
+                        assert!(is_between, "site {lane}: {tint:?}");
+                        let is_told = (tint.factor - 1.0).abs() >= 0.5 * (brighter - 1.0).abs();
+                        assert!(is_told, "site {lane}: {tint:?}");
+                    }
+                    None => assert!(n_views < MIN_VIEWS, "site {lane}"),
+                }
+                assert!(together[lane].is_none() || n_views >= MIN_VIEWS);
+            }
+        }
+    }
+}

@@ -9,9 +9,11 @@
 //! is wider than a ring and too stiff for what is not; a few conjugate gradients make up for that.
 
 use super::couplings::{Couplings, VertexCorners};
-use super::energy::{NormalMatrix, Problem, TILE, in_tiles, side_by_side};
-use super::site_blocks::{Asked, Block};
+use super::energy::{NormalMatrix, Problem};
+use super::side_by_side::{map_sites, unit_normals};
+use super::site_blocks::{Block, Estimate};
 use super::surface::{Surface, area_vector_by_displacement};
+use super::tiles::{TILE, in_tiles};
 use super::tint::Tint;
 use nalgebra::{Matrix3, Vector3, Vector4};
 use rayon::prelude::*;
@@ -78,22 +80,21 @@ impl VertexSystem {
         let sizes: Vec<f64> = sizes.into_iter().map(|size| size.max(least)).collect();
         // Of the faces round each vertex: their area vectors, and their sizes.
         let rings = mesh.sums_at_vertices(Vector4::zeros(), |face| normals[face].push(sizes[face]));
-        let asked = Asked {
+        let estimate = Estimate {
             surface,
             albedos,
             tints,
         };
-        let terms = side_by_side(n_vertices, |vertices, room| {
+        let terms = map_sites(n_vertices, |vertices, room| {
             let first = vertices.start;
-            let normals = vertices.map(|vertex| {
+            let normals = unit_normals(vertices, |vertex| {
                 let is_seen = !problem.observations.of(vertex).is_empty();
                 rings[vertex].xyz().try_normalize(0.0).filter(|_| is_seen)
             });
-            let normals: Vec<Option<Vector3<f64>>> = normals.collect();
-            let blocks = problem.blocks(&asked, first, &normals, room);
-            from_fn(|lane| match normals.get(lane) {
-                Some(Some(normal)) => Terms::new(&blocks[lane], normal, &rings[first + lane]),
-                _ => Terms::default(),
+            let blocks = problem.blocks(&estimate, first, &normals, room);
+            from_fn(|lane| match &normals[lane] {
+                Some(normal) => Terms::new(&blocks[lane], normal, &rings[first + lane]),
+                None => Terms::default(),
             })
         });
         VertexSystem {

@@ -2,7 +2,7 @@
 
 use super::dynamic_mesh::{DynamicMesh, VertexKind, is_sliver};
 use crate::geometry::TriangleBvh;
-use crate::refine::energy::in_tiles;
+use crate::refine::tiles::in_tiles;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
