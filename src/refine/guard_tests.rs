@@ -276,7 +276,7 @@ fn slow_differences_of_brightness_are_measured_and_bounded() {
     else {
         panic!("{text}");
     };
-    assert_eq!(slow_gain, measured);
+    assert!(slow_gain > bound, "{slow_gain} at rest");
     // The plane sends itself no light but for what noise makes of it.
     assert!(bound >= limit && bound < 1.1 * limit, "{bound}");
     assert!(text.contains("gamma or light is wrong"), "{text}");

@@ -169,8 +169,9 @@ pub struct Refinement {
 /// Refines the surface of an object.
 ///
 /// A quarter of the views that look at it is held out while the surface is found and then judges it ([`Judgement`]), a quarter of those that
-/// see it where none of that quarter or none of the others does; a last round then takes all views in, and turns until the surface rests. A
-/// single view judges nothing. After each accepted step `progress` is called; it returns false to cancel, which keeps what was reached.
+/// see it where none of that quarter or none of the others does; a last round then takes all views in, and turns until the surface rests. What
+/// they refuse before that is taken to rest and judged once more. A single view judges nothing. After each accepted step `progress` is called;
+/// it returns false to cancel, which keeps what was reached.
 ///
 /// # Errors
 /// Where there is nothing to refine or to learn from, where the images cannot be explained, and where those held out fit the
@@ -210,15 +211,21 @@ pub fn refine(
     };
     let first = 0..params.n_rounds;
     let mut status = prepared.run(first, learning, &mut state, &mut accepted);
-    let judgement = Judgement::of(&prepared.judge(base, &mut state, learning, held_out));
-    if judgement.prefers_base() {
-        return Err(RefineError::WorseThanBase(judgement.overall));
-    }
-    let slow_gain = judgement.overall.slow_gain;
     let limit = slow_gain_limit(&params.trust, prepared.indirect_share());
-    if slow_gain > limit {
-        return Err(RefineError::SlowlyContradicted { slow_gain, limit });
+    let judge = |state: &mut State| {
+        let judged = prepared.judge(base.clone(), state, learning, held_out);
+        Judgement::of(&judged)
+    };
+    let mut judgement = judge(&mut state);
+    if refused(&judgement, limit).is_some() && !status.is_final() {
+        // What does not rest yet may be refused for that alone.
+        status = prepared.rest(learning, &mut state, &mut accepted);
+        judgement = judge(&mut state);
     }
+    if let Some(error) = refused(&judgement, limit) {
+        return Err(error);
+    }
+    drop(base);
     if !status.is_final() {
         let last = params.n_rounds..params.n_rounds + 1;
         status = prepared.run(last, all, &mut state, &mut accepted);
@@ -254,6 +261,19 @@ pub fn refine(
         contradiction: prepared.told().contradiction.clone(),
         mesh: state.surface.mesh,
     })
+}
+
+/// Why a refined surface is not delivered, by what the views that were held out say; `None` where it is.
+fn refused(judgement: &Judgement, limit: f64) -> Option<RefineError> {
+    let overall = judgement.overall;
+    let slow_gain = overall.slow_gain;
+    if judgement.prefers_base() {
+        Some(RefineError::WorseThanBase(overall))
+    } else if slow_gain > limit {
+        Some(RefineError::SlowlyContradicted { slow_gain, limit })
+    } else {
+        None
+    }
 }
 
 /// Slow gains that are believed where so large a share of the light is indirect.

@@ -236,7 +236,9 @@ impl Preparation {
         for round in rounds {
             self.prolong(state, level, self.level_of(round));
             level = self.level_of(round);
-            status = self.take_turns(round, learning, state, accepted);
+            let goes_on = round < self.params.n_rounds && self.level_of(round + 1) == level;
+            let n_turns = if goes_on { 1 } else { self.params.max_turns };
+            status = self.take_turns(round, 0..n_turns, learning, state, accepted);
             if status.is_final() {
                 break;
             }
@@ -245,21 +247,30 @@ impl Preparation {
         status
     }
 
-    /// Runs a round on its level. The last one there is repeated until it hardly turns the surface any more: poses, gains and albedo are
-    /// found with the surface held and the surface with them, so that steep relief needs many turns.
-    fn take_turns(
+    /// Takes a state as [`Self::run`] leaves it before the last round to rest, by further turns of the round that it is of.
+    pub fn rest(
         &self,
-        round: usize,
         learning: ViewSet,
         state: &mut State,
         accepted: &mut impl FnMut(Iteration) -> bool,
     ) -> RefineStatus {
-        let level = self.level_of(round);
-        let goes_on = round < self.params.n_rounds && self.level_of(round + 1) == level;
-        let n_turns = if goes_on { 1 } else { self.params.max_turns };
-        let rounds = self.rounds(level);
+        let turns = 1..self.params.max_turns;
+        self.take_turns(self.params.n_rounds - 1, turns, learning, state, accepted)
+    }
+
+    /// Runs a round on its level until it hardly turns the surface any more, or has taken these turns: poses, gains and albedo are found
+    /// with the surface held and the surface with them, so that steep relief needs many.
+    fn take_turns(
+        &self,
+        round: usize,
+        turns: Range<usize>,
+        learning: ViewSet,
+        state: &mut State,
+        accepted: &mut impl FnMut(Iteration) -> bool,
+    ) -> RefineStatus {
+        let rounds = self.rounds(self.level_of(round));
         let mut status = RefineStatus::IterationLimit;
-        for turn in 0..n_turns {
+        for turn in turns {
             let sites = match (round, turn) {
                 (0, 0) => {
                     let sites = self.base_sites.only(learning);

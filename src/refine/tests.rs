@@ -13,7 +13,7 @@ use super::site_motion::{Linearisation, SiteMotion};
 use super::sites::{SiteKind, Sites, ViewSet};
 use super::solver::SolverParams;
 use super::surface::Surface;
-use super::{RefineError, RefineParams, patches, refine};
+use super::{ImageTrust, RefineError, RefineParams, Refinement, patches, refine};
 use crate::geometry::{EdgeAdjacency, TriMesh, increment, motion_between};
 use crate::robust::Tukey;
 use nalgebra::{Point3, Translation3, Vector6};
@@ -205,50 +205,83 @@ fn normal_error(truth: &RippledPlane, mesh: &TriMesh) -> f64 {
     angles.iter().sum::<f64>() / angles.len() as f64
 }
 
-#[test]
-fn steep_ripples_at_wrong_poses_take_many_turns() {
+/// As steep as 32°.
+const STEEP: RippledPlane = RippledPlane {
+    amplitude_m: 0.0012,
+};
+
+/// Refines a plane by images of ripples whose poses are 2 mm off; at most so many turns a round, and believed up to such slow gains.
+fn refined_from_flat(
+    hidden: &RippledPlane,
+    max_turns: usize,
+    max_slow_gain: f64,
+) -> Result<Refinement, RefineError> {
     let (rays, calibration) = (rays(), calibration());
     let optics = optics(&rays, &calibration);
+    let poses = poses(0.5);
+    let moved = poses.iter().enumerate().map(|(k, pose)| {
+        let mut snapshot = hidden.snapshot(&optics, pose);
+        let angle = 2.4 * k as f64;
+        let off = Translation3::new(0.002 * angle.cos(), 0.002 * angle.sin(), 0.0);
+        snapshot.world_from_camera = off * snapshot.world_from_camera;
+        snapshot
+    });
+    let snapshots: Vec<_> = moved.collect();
+    let params = RefineParams {
+        edge_length_m: 0.0012,
+        max_turns,
+        // Its images are of points.
+        integrate_pixels: false,
+        trust: ImageTrust {
+            max_slow_gain,
+            ..ImageTrust::default()
+        },
+        ..RefineParams::default()
+    };
     let base = FLAT.mesh(0.0015);
-    // Error of the normals, as a share of the base surface's, and steps by so many turns at most.
+    refine(&whole(&base, &snapshots, &optics), &params, |_| true)
+}
+
+#[test]
+fn steep_ripples_at_wrong_poses_take_many_turns() {
+    let flat = normal_error(&STEEP, &FLAT.mesh(0.0015));
     let refined = |hidden: &RippledPlane, max_turns: usize| {
-        let poses = poses(0.5);
-        let moved = poses.iter().enumerate().map(|(k, pose)| {
-            let mut snapshot = hidden.snapshot(&optics, pose);
-            let angle = 2.4 * k as f64;
-            let off = Translation3::new(0.002 * angle.cos(), 0.002 * angle.sin(), 0.0);
-            snapshot.world_from_camera = off * snapshot.world_from_camera;
-            snapshot
-        });
-        let snapshots: Vec<_> = moved.collect();
-        let params = RefineParams {
-            edge_length_m: 0.0012,
-            max_turns,
-            // Its images are of points.
-            integrate_pixels: false,
-            ..RefineParams::default()
-        };
-        let refined = refine(&whole(&base, &snapshots, &optics), &params, |_| true)
-            .expect("everything is visible");
-        let left = normal_error(hidden, &refined.mesh) / normal_error(hidden, &base);
-        (left, refined.iterations.len(), refined.judgement.overall)
+        let allowed = ImageTrust::default().max_slow_gain;
+        refined_from_flat(hidden, max_turns, allowed).expect("everything is visible")
     };
-    // As steep as 32°.
-    let steep = RippledPlane {
-        amplitude_m: 0.0012,
-    };
-    let ((once, ..), (resting, n_steep, held_out)) = (refined(&steep, 1), refined(&steep, 9));
+    let (once, resting) = (refined(&STEEP, 1), refined(&STEEP, 9));
+    // Error of the normals, as a share of the base surface's.
+    let [by_one, by_more] = [&once, &resting].map(|of| normal_error(&STEEP, &of.mesh) / flat);
     assert!(
-        resting < 0.5 * once,
-        "{once} by one turn, {resting} by more"
+        by_more < 0.5 * by_one,
+        "{by_one} by one turn, {by_more} by more"
     );
     // Judged before the last round takes its turns, and better than the base surface by then.
+    let held_out = resting.judgement.overall;
     let [before, after] = [&held_out.base, &held_out.refined].map(|of| of.intensity);
     assert!(after < 0.9 * before, "{before} of the base, {after}");
-    let (_, n_shallow, _) = refined(&RIPPLED, 9);
+    let [n_steep, n_shallow] = [&resting, &refined(&RIPPLED, 9)].map(|of| of.iterations.len());
     assert!(
         n_steep > n_shallow,
         "{n_steep} steps, {n_shallow} if shallow"
+    );
+}
+
+#[test]
+fn what_would_be_refused_before_it_rests_is_judged_once_more_at_rest() {
+    let slow_gain = |refined: &Refinement| refined.judgement.overall.slow_gain;
+    let at_first = slow_gain(&refined_from_flat(&STEEP, 9, 1.0).expect("all is allowed"));
+    let limit = 0.9 * at_first;
+    let rested = refined_from_flat(&STEEP, 9, limit).expect("explained at rest");
+    assert!(
+        slow_gain(&rested) <= limit,
+        "{at_first}, {}",
+        slow_gain(&rested)
+    );
+    let refused = refined_from_flat(&STEEP, 1, limit).err();
+    assert!(
+        matches!(refused, Some(RefineError::SlowlyContradicted { .. })),
+        "{refused:?}"
     );
 }
 
