@@ -54,20 +54,24 @@ export async function state(page, ...names) {
   await page.waitForFunction((wanted) => wanted.includes(document.body.dataset.state), names, { timeout: 120_000 });
 }
 
-/** Looks from now on whether an element comes into a state, however shortly; what it returns waits for that. */
-export async function comesTo(page, selector, wanted) {
-  const handle = await page.evaluateHandle(([where, name]) => {
+/**
+ * Looks from now on whether an element comes into a state, however shortly, and another one has the words that are given by its selector;
+ * what it returns waits for that.
+ */
+export async function comesTo(page, selector, wanted, words = {}) {
+  const handle = await page.evaluateHandle(([where, name, words]) => {
     const element = document.querySelector(where);
+    const hasWords = ([other, text]) => document.querySelector(other).textContent === text;
     const came = new Promise((resolve) => {
       const observer = new MutationObserver(() => {
-        if (element.dataset.state !== name) return;
+        if (element.dataset.state !== name || !Object.entries(words).every(hasWords)) return;
         observer.disconnect();
         resolve();
       });
       observer.observe(element, { attributeFilter: ['data-state'] });
     });
     return { came };
-  }, [selector, wanted]);
+  }, [selector, wanted, words]);
   return () => handle.evaluate(({ came }) => came);
 }
 

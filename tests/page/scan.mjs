@@ -2,8 +2,10 @@
 
 const FRAMES_PER_SEC = 30;
 const SCAN_SECS = 25;
-/** When track is lost and comes back, seconds of scanning. */
+/** When track is lost and comes back, seconds of scanning; seconds while the daemon keeps track do not count from when it gets weak. */
 const LOSS = { weak: 7, lost: 8.5, relocalising: 11.5, found: 12.5 };
+/** From when on fitness falls. */
+const WEAKENING = LOSS.weak - 1.5;
 const REJECTIONS = ['moving', 'saturated', 'nothing_new'];
 const SCANNED_FILES = ['base.ply', 'trajectory.txt', 'report.html', 'report.json', 'events.jsonl'].map(file);
 const REFINED_FILES = ['refined.ply', 'refined.glb'].map(file);
@@ -46,6 +48,8 @@ export class StandInDaemon {
   refusal = null;
   /** Whether what is refined again has other settings by then. */
   hasOtherSettings = true;
+  /** Whether track is not lost yet, however long the scan goes on. */
+  keepsTrack = false;
   #scan = null;
   /** How often each scan was refined, by its id; every time its mesh shows more. */
   refinements = new Map();
@@ -67,7 +71,7 @@ export class StandInDaemon {
   start(label) {
     if (this.#scan) throw new Refused('already_scanning', 'a scan is going on');
     const id = this.#newId();
-    this.#scan = { id, label, started: Date.now(), secs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0 };
+    this.#scan = { id, label, started: Date.now(), secs: 0, keptSecs: 0, isPaused: false, pausedFrames: 0, lostFrames: 0, snapshots: [], snapshotUntil: 0, drainUntil: 0 };
     return id;
   }
 
@@ -132,6 +136,7 @@ export class StandInDaemon {
       if (scan.isPaused) scan.pausedFrames += frames;
       else {
         scan.secs += secs;
+        if (this.keepsTrack) scan.keptSecs = Math.max(scan.keptSecs, scan.secs - WEAKENING);
         if (['lost', 'relocalising'].includes(this.state)) scan.lostFrames += frames;
         if (Math.floor(scan.secs / 1.2) > Math.floor((scan.secs - secs) / 1.2)) this.#snapshot(scan.snapshots.length % 4 !== 2);
       }
@@ -196,13 +201,18 @@ export class StandInDaemon {
 
   /** Share of the object that was scanned; nothing is added while lost. */
   get progress() {
-    const secs = this.#scan?.secs ?? 0;
-    const held = Math.min(secs, LOSS.lost) + Math.max(0, secs - LOSS.found);
+    const secs = this.#secsOfLoss;
+    const held = Math.min(secs, LOSS.lost) + Math.max(0, secs - LOSS.found) + (this.#scan?.keptSecs ?? 0);
     return Math.min(1, 0.12 + held / SCAN_SECS);
   }
 
   get frameId() {
     return Math.floor((this.#scan?.secs ?? 0) * FRAMES_PER_SEC) + Math.floor(this.#scan?.pausedFrames ?? 0);
+  }
+
+  /** Seconds of scanning as of `LOSS`. */
+  get #secsOfLoss() {
+    return this.#scan ? this.#scan.secs - this.#scan.keptSecs : 0;
   }
 
   get isLost() {
@@ -215,17 +225,19 @@ export class StandInDaemon {
     if (scan.drainUntil) return this.hasStorageFailed ? 'fault' : 'draining';
     if (scan.isPaused) return 'paused';
     if (scan.secs < 0.6) return 'warming';
-    if (scan.secs > LOSS.relocalising && scan.secs < LOSS.found) return 'relocalising';
-    if (scan.secs > LOSS.lost && scan.secs < LOSS.found) return 'lost';
+    const secs = this.#secsOfLoss;
+    if (secs > LOSS.relocalising && secs < LOSS.found) return 'relocalising';
+    if (secs > LOSS.lost && secs < LOSS.found) return 'lost';
     if (this.hasStorageFailed) return 'fault';
     if (Date.now() < scan.snapshotUntil) return 'snapshotting';
-    return scan.secs > LOSS.weak && scan.secs < LOSS.lost ? 'degraded' : 'tracking';
+    return secs > LOSS.weak && secs < LOSS.lost ? 'degraded' : 'tracking';
   }
 
   get #fitness() {
     const secs = this.#scan?.secs ?? 0;
     if (!this.#scan || this.#scan.isPaused || secs < 0.6) return null;
-    const fall = secs > LOSS.weak - 1.5 && secs < LOSS.found ? Math.max(0, 1 - (secs - LOSS.weak + 1.5) / 3) : 1;
+    const weak = this.#secsOfLoss - WEAKENING;
+    const fall = weak > 0 && this.#secsOfLoss < LOSS.found ? Math.max(0, 1 - weak / 3) : 1;
     return Math.max(0.04, (0.86 + 0.05 * Math.sin(3 * secs)) * fall);
   }
 
