@@ -136,7 +136,7 @@ impl DepthCorrection {
         }
     }
 
-    /// Fuses a scan again as long as it tells of errors that were not taken off: multipath at least twice, for a model tells
+    /// Fuses a scan again as long as it tells of errors that were not taken off: multipath at least four times, for a model tells
     /// the slant of the surface better than single frames do, and what was fused on one is a better one; after that its views tell
     /// how strong it is. `None` if it stays as it is; as soon as `goes_on` says no, what was fused again in whole counts.
     pub fn revise(&self, fusion: &Fusion, goes_on: &GoesOn) -> Option<Revised> {

@@ -99,8 +99,8 @@ pub(super) struct Settled {
 }
 
 /// The first so many revisions free depth of multipath on the model, whatever the views tell: the first model still shows what the
-/// live prediction left.
-const MODEL_ROUNDS: usize = 2;
+/// live prediction left, and each that is freed of more of it tells its own slant better.
+const MODEL_ROUNDS: usize = 4;
 /// What a sensor gets wrong beside multipath is asked for before the first so many revisions. After three, what the frames still
 /// show of it is noise: with a fourth the base mesh of `pot-k1` (Kinect I) lies 0.40 mm off for 0.38.
 const SENSOR_ROUNDS: usize = 3;
